@@ -1,4 +1,4 @@
-"""How Alembic reaches the database: the package of the engine gives it a connection and the options of its dialect."""
+"""How Alembic reaches the database: the package of the engine gives it a connection, and says what comes afterwards."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ def run() -> None:
     context.configure(target_metadata=metadata, **context.config.attributes["options"])
     with context.begin_transaction():
         context.run_migrations()
+        context.config.attributes["afterwards"]()
 
 
 run()

@@ -61,6 +61,7 @@ SWEEP_EVERY_S = 6 * 3600.0
 LOAD_INDEX_EVERY_S = 1.0
 AUDIT_INDEX_EVERY_S = 1.0
 TEND_INDEX_FILES_EVERY_S = 2.0
+ERASE_EVERY_S = 5.0
 FORGET_ANSWERS_EVERY_S = 60.0
 FORGET_EVENTS_EVERY_S = 60.0
 DELIVER_WEBHOOKS_EVERY_S = 1.0
@@ -153,6 +154,7 @@ def chores(settings: Settings, installation: Installation, fail_stop: FailStop) 
         Chore("tend_disk", TEND_DISK_EVERY_S, tend_disk),
         Chore("fold_log_back", FOLD_LOG_BACK_EVERY_S, fold_log_back, at_end=True),
         Chore("sweep_blobs", SWEEP_EVERY_S, sweep_blobs),
+        Chore("erase_deleted", ERASE_EVERY_S, installation.erasure.all, close=installation.erasure.close),
         Chore("load_index", LOAD_INDEX_EVERY_S, keeper.load),
         Chore("audit_index", AUDIT_INDEX_EVERY_S, audit_index),
         Chore("tend_index_files", TEND_INDEX_FILES_EVERY_S, tend_index_files),

@@ -51,7 +51,8 @@ POINTS = {
     "index.after_apply": "the changes of an index are applied, nothing was searched",
     "index.before_file_named": "the file of an index is written, its map does not name it",
     "index.after_file_named": "a map names the file of its index, no process has loaded it",
-    "delete.after_rows": "the rows of a submap, session or map are gone, their blobs are there",
+    "delete.after_mark": "a session or map is marked as deleted, its rows and blobs are there",
+    "delete.after_rows": "a submap, or a portion of the rows of a session or map, is gone, the blobs are there",
     "delete.after_blob": "one blob of what was deleted is gone, others may be there",
 }
 """Every point there is, and where the code stands when it is reached."""

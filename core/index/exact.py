@@ -50,6 +50,10 @@ class ExactIndex:
         """See PlaceIndex."""
         return self._rows.count_of(sessions)
 
+    def ids_of(self, sessions: Collection[int]) -> NDArray[np.int64]:
+        """See PlaceIndex."""
+        return self._rows.ids_of(sessions)
+
     def ids(self) -> NDArray[np.int64]:
         """See PlaceIndex."""
         return self._rows.ids[self._rows.live()]

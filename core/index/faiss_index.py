@@ -128,6 +128,10 @@ class FaissIndex:
         """See PlaceIndex."""
         return self._rows.count_of(sessions)
 
+    def ids_of(self, sessions: Collection[int]) -> NDArray[np.int64]:
+        """See PlaceIndex."""
+        return self._rows.ids_of(sessions)
+
     def ids(self) -> NDArray[np.int64]:
         """See PlaceIndex."""
         self._learn()

@@ -81,6 +81,9 @@ class PlaceIndex(Protocol):
     def count_of(self, sessions: Collection[int]) -> int:
         """How many of them are of these sessions."""
 
+    def ids_of(self, sessions: Collection[int]) -> NDArray[np.int64]:
+        """The ids of the places of these sessions."""
+
     def ids(self) -> NDArray[np.int64]:
         """The ids of the places that a search compares with."""
 

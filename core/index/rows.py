@@ -122,6 +122,10 @@ class Rows:
         """How many places are of these sessions."""
         return int(np.count_nonzero(self.alive[: self.count] & self._are_of(sessions)))
 
+    def ids_of(self, sessions: Collection[int]) -> NDArray[np.int64]:
+        """The ids of the places of these sessions."""
+        return self.ids[np.flatnonzero(self.alive[: self.count] & self._are_of(sessions))]
+
     def _are_of(self, sessions: Collection[int]) -> Flags:
         """Which rows (count,) are of these sessions."""
         return np.isin(self.sessions[: self.count], np.fromiter(sessions, np.int64, len(sessions)))

@@ -69,12 +69,13 @@ class _Entries:
         """The `k` likest along an axis, or all where there are fewer."""
         count = min(k, self.cosines.shape[axis])
         chosen = np.argpartition(-self.cosines, count - 1, axis=axis).take(range(count), axis=axis)
-        return _Entries(*(np.take_along_axis(one, chosen, axis) for one in (self.rows, self.columns, self.cosines)))
+        rows, columns = (np.take_along_axis(one, chosen, axis) for one in (self.rows, self.columns))
+        return _Entries(rows, columns, np.take_along_axis(self.cosines, chosen, axis))
 
     def joined(self, other: _Entries) -> _Entries:
         """These rows of cells, and others below them."""
-        pairs = ((self.rows, other.rows), (self.columns, other.columns), (self.cosines, other.cosines))
-        return _Entries(*(np.concatenate(pair) for pair in pairs))
+        rows, columns = np.concatenate((self.rows, other.rows)), np.concatenate((self.columns, other.columns))
+        return _Entries(rows, columns, np.concatenate((self.cosines, other.cosines)))
 
     def in_a_row(self) -> _Entries:
         """The same, (n,)."""

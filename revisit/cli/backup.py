@@ -18,7 +18,7 @@ from revisit.cli.output import emit_json, refuse
 def backup(
     out: Annotated[Path, typer.Argument(help="The folder to make.")], home: Home = None, json: Json = False
 ) -> None:
-    """Back up the data folder into a new folder, while the service runs; exit status 1 where a blob is lost."""
+    """Back up the data folder into a new folder, while the service runs; exit status 1 where a blob or row is lost."""
     from revisit.service import VERSION
     from revisit.service.adapters.sqlite.backup import make_backup
 
@@ -26,7 +26,7 @@ def backup(
     size_mb = manifest.blob_bytes / 2**20
     text = f"{out}: schema {manifest.revision}, {manifest.blobs} blobs of {size_mb:.1f} MiB"
     _tell(text, asdict(manifest), json)
-    _report("lost before this backup", manifest.lost)
+    _report({"lost before this backup": manifest.lost})
 
 
 @needs("service")
@@ -55,15 +55,13 @@ def restore(
 
 @needs("service")
 def scrub(home: Home = None, json: Json = False) -> None:
-    """Read every blob and page, move damaged blobs aside; exit status 1 where anything is damaged or missing."""
+    """Read every blob, page and row, move damaged blobs aside; exit status 1 where anything is damaged or missing."""
     from revisit.service.adapters.sqlite import examination
 
     found = examination.scrub(data_folder(home))
     _tell(f"{found.checked} blobs read, database {found.database}", asdict(found), json)
-    _report("damaged, moved aside", found.damaged)
-    _report("missing", found.missing)
-    if found.database != "ok":
-        raise typer.Exit(1)
+    named = {"damaged, moved aside": found.damaged, "missing": found.missing, "not what was written": found.rows}
+    _report(named, damaged=found.database != "ok")
 
 
 def _tell(text: str, data: dict[str, object], as_json: bool) -> None:
@@ -73,8 +71,10 @@ def _tell(text: str, data: dict[str, object], as_json: bool) -> None:
         typer.echo(text)
 
 
-def _report(what: str, blobs: tuple[str, ...]) -> None:
-    for blob in blobs:
-        typer.echo(f"{what}: {blob}", err=True)
-    if blobs:
+def _report(found: dict[str, tuple[str, ...]], *, damaged: bool = False) -> None:
+    """Print all that was found; exit status 1 where there is anything, or something is `damaged` beside it."""
+    for what, names in found.items():
+        for name in names:
+            typer.echo(f"{what}: {name}", err=True)
+    if damaged or any(found.values()):
         raise typer.Exit(1)

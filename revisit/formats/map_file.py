@@ -124,14 +124,16 @@ class MapFile:
             manifest = _object(self._archive, _MANIFEST)
             if manifest.get("format") != FORMAT:
                 raise MalformedBody(f"the file is no map of format {FORMAT}")
-            self.files: dict[str, Mapping[str, Any]] = dict(manifest["files"])
+            self.files: dict[str, Mapping[str, Any]] = {
+                str(name): _checked(entry) for name, entry in manifest["files"].items()
+            }
             fields = {name: manifest[_camel_word(name)] for name in MapDescription.__dataclass_fields__}
             self.description = MapDescription(**fields)
             rows = json.loads(self._member(_SUBMAPS, MAX_JSON_BYTES))
             self.submaps = tuple(_submap(row) for row in rows)
             flat = np.frombuffer(self._member(_DESCRIPTORS, MAX_JSON_BYTES), dtype="<f4")
             self.descriptors = flat.reshape(len(self.submaps), -1) if len(self.submaps) else flat.reshape(0, 0)
-        except (zipfile.BadZipFile, KeyError, TypeError, ValueError, RuntimeError) as error:
+        except (zipfile.BadZipFile, ArithmeticError, LookupError, TypeError, ValueError, RuntimeError) as error:
             raise MalformedBody("the file is no map, or is cut off") from error
 
     @classmethod
@@ -164,7 +166,7 @@ class MapFile:
         """A member that has the size and the hash that the manifest says. Raises DataLoss."""
         known = self.files[name]
         try:
-            data = _read(self._archive, name, min(limit, int(known["bytes"])))
+            data = _read(self._archive, name, min(limit, known["bytes"]))
         except zipfile.BadZipFile as error:
             raise DataLoss(f"{name} of the map file is damaged") from error
         if hashlib.sha256(data).hexdigest() != known["sha256"]:
@@ -194,7 +196,7 @@ def difference(older: MapFile, newer: MapFile) -> MapDifference:
     known = {entry["sha256"] for entry in older.files.values()}
     sizes = {bool(entry["sha256"] in known): 0 for entry in newer.files.values()}
     for entry in newer.files.values():
-        sizes[entry["sha256"] in known] += int(entry["bytes"])
+        sizes[entry["sha256"] in known] += entry["bytes"]
     return MapDifference(
         added=tuple(sorted(after.keys() - before.keys())),
         removed=tuple(sorted(before.keys() - after.keys())),
@@ -232,6 +234,14 @@ def _object(archive: zipfile.ZipFile, name: str) -> dict[str, Any]:
     if not isinstance(found, dict):
         raise MalformedBody("the manifest of the map file is no object")
     return found
+
+
+def _checked(entry: Mapping[str, Any]) -> Mapping[str, Any]:
+    """What the manifest says of a member: its size in bytes and its hash. Raises ValueError, TypeError, LookupError."""
+    size, sha256 = entry["bytes"], entry["sha256"]
+    if type(size) is not int or size < 0 or not isinstance(sha256, str):
+        raise ValueError("a member of the map file has no size or no hash")
+    return {"bytes": size, "sha256": sha256}
 
 
 def _row(submap: FiledSubmap) -> dict[str, Any]:

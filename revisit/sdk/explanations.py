@@ -37,7 +37,7 @@ class Lookups(Protocol):
         """See `Client`."""
         ...
 
-    def loop_closures(self, map_: Map, *, session: str) -> list[LoopClosure]:
+    def loop_closures(self, map_: Map, *, state: str, session: str) -> list[LoopClosure]:
         """See `Client`."""
         ...
 

@@ -87,12 +87,13 @@ class PlaceVectorIndex:
             new = [change for change in changes if change.seq > index.seq]
             if not new or index.seq < after:
                 return
-            last = {change.submap_number: change for change in new}
+            sessions = {change.session_number for change in new if change.whole_session}
+            last = {change.submap_number: change for change in new if change.session_number not in sessions}
             if self._is_replaced(index, new):
                 index.forget()
                 return
             with self._mended(map_number, index):
-                self._remove(index, list(last))
+                self._remove(index, [*last, *_ids_of(index, sessions)])
                 self._add(index, [change for change in last.values() if change.vector is not None], more)
                 index.seq = new[-1].seq
 
@@ -260,6 +261,11 @@ class PlaceVectorIndex:
             index.places = self._make_index(index.dimension)
         # Also where none came: with the last portion the index gets fast.
         index.places.add(*_entries(changes, index.dimension), more=more)
+
+
+def _ids_of(index: _MapIndex, sessions: Collection[int]) -> list[int]:
+    """The submaps of these sessions that it holds."""
+    return [] if index.places is None or not sessions else index.places.ids_of(sessions).tolist()
 
 
 def _size(index: _MapIndex) -> int:

@@ -26,6 +26,7 @@ from revisit.service.application.capacity.admission import Admission
 from revisit.service.application.capacity.backlog import JobPosting
 from revisit.service.application.capacity.byte_budget import ByteBudget
 from revisit.service.application.catalogue.blob_references import BlobCollector
+from revisit.service.application.catalogue.downloads import Rendering
 from revisit.service.application.catalogue.maps import Maps
 from revisit.service.application.catalogue.paging import Lists, PageTokens
 from revisit.service.application.catalogue.robots import Robots
@@ -93,17 +94,18 @@ class UseCases:
         backlog, lists = of.backlog, Lists(storage, of.in_flight, PageTokens(of.secret))
         admission = Admission(of.stopping, of.disk, of.in_flight, backlog, of.quota)
         jobs, collector = JobPosting(backlog, clock, policy), BlobCollector(storage)
+        rendering = Rendering(of.in_flight)
         glance, writes = Glance(storage, admission), ReadYourWrites(storage, admission)
         operations, audit = Operations(storage, lists, admission, clock), AuditLog(storage, clock)
         answers = WorkerAnswers(storage, admission, jobs, operations)
         meshes = SubmapMeshes(storage, admission, answers)
         return cls(
-            maps=Maps(storage, lists, admission, collector, of.index, streams, clock, policy),
+            maps=Maps(storage, lists, admission, of.erasure, of.index, streams, clock, policy),
             robots=Robots(storage, lists, admission, clock),
-            sessions=Sessions(storage, lists, admission, jobs, collector, streams, clock, policy),
+            sessions=Sessions(storage, lists, admission, jobs, collector, of.erasure, streams, clock, policy),
             scans=Scans(storage, admission, decoder, jobs, of.in_flight, streams, clock, policy),
             posting=SubmapPosting(storage, admission, decoder, jobs, clock),
-            submaps=Submaps(storage, lists, admission, collector, clock, policy, meshes),
+            submaps=Submaps(storage, lists, admission, collector, rendering, clock, policy, meshes),
             searches=Searches(storage, admission, decoder, of.memory, answers, writes),
             loops=Loops(storage, lists, admission, glance, writes),
             loop_keypoints=LoopKeypointReading(storage, admission, policy),
@@ -111,8 +113,8 @@ class UseCases:
             events=Events(storage, admission, glance),
             webhooks=Webhooks(storage, lists, admission, clock, policy.webhook_private_networks),
             map_versions=MapVersions(storage, lists, admission, clock, policy),
-            map_merges=MapMerges(storage, lists, admission, jobs, collector, clock),
-            map_tiles=MapTiles(storage, lists, admission, jobs, operations, policy),
+            map_merges=MapMerges(storage, lists, admission, jobs, collector, of.erasure, clock),
+            map_tiles=MapTiles(storage, lists, admission, jobs, operations, rendering, policy),
             map_files=MapFiles(storage, lists, admission, jobs, collector, clock),
             corrections=Corrections(storage, admission, glance),
             loop_decisions=LoopDecisions(storage, admission, lists, jobs, clock, policy),

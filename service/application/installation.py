@@ -12,6 +12,8 @@ from revisit.service.application.capacity.byte_budget import ByteBudget
 from revisit.service.application.capacity.call_pace import CallPace
 from revisit.service.application.capacity.in_flight import DECODERS, InFlight
 from revisit.service.application.capacity.storage_quota import StorageQuota
+from revisit.service.application.catalogue.blob_references import BlobCollector
+from revisit.service.application.catalogue.erasure import Erasure
 from revisit.service.application.contract.blobs import BlobStore
 from revisit.service.application.contract.clock import Clock
 from revisit.service.application.contract.disk import DiskSpace, UnlimitedDisk
@@ -69,6 +71,11 @@ class Installation:
     def backlog(self) -> Backlog:
         """The limit of waiting jobs."""
         return Backlog(self.storage, self.in_flight, self.policy.max_queued_jobs)
+
+    @cached_property
+    def erasure(self) -> Erasure:
+        """What deletes the rows of deleted sessions and maps."""
+        return Erasure(self.storage, BlobCollector(self.storage), self.clock)
 
     @cached_property
     def quota(self) -> StorageQuota | None:

@@ -61,6 +61,8 @@ def content(place: int, points: int = 300) -> str:
 async def drive(world: World, history: History) -> None:
     """Do all of it, and note each step before and after."""
     world.merger = EasyMerger()
+    # As a gateway does when it starts: what was being deleted goes.
+    await world.context.erasure.all()
     for session in (POSTED, STREAMED, SCRAPPED):
         await open_session(world, session)
     for submap_id, place in PLACES.items():

@@ -337,14 +337,14 @@ SABOTAGES = (
     Sabotage(
         "what is deleted stays in the index",
         {
-            f"{ADAPTERS}sql.change_log:SqlChangeLog.record_removed": nothing,
-            f"{ADAPTERS}memory.repositories:MemoryChangeLog.record_removed": nothing,
+            f"{ADAPTERS}sql.change_log:SqlChangeLog.record_session_removed": nothing,
+            f"{ADAPTERS}memory.repositories:MemoryChangeLog.record_session_removed": nothing,
         },
         f"{DELETION}test_a_deleted_session_takes_its_submaps_and_loops_and_nothing_else",
     ),
     Sabotage(
         "the jobs of what is deleted keep their places",
-        {f"{USE_CASES}catalogue.deletion:_drop_jobs": nothing},
+        {f"{USE_CASES}catalogue.erasure:drop_jobs": nothing},
         f"{DELETION}test_the_waiting_jobs_of_a_deleted_session_are_dropped_at_once",
     ),
     Sabotage(

@@ -19,6 +19,7 @@ from revisit.service.adapters.sqlite.engine import SqliteEngine
 from revisit.service.application.catalogue.blob_references import blobs_of_submap
 from revisit.service.application.contract.blobs import CLOUD_BLOB, MAP_LAYOUT_BLOB, TILE_BLOB, BlobStore
 from revisit.service.application.contract.identity import TenantId
+from revisit.service.application.contract.index import IndexChange
 from revisit.service.application.contract.records import JobRecord, MapRecord, ScanRecord, SessionRecord, SubmapRecord
 from revisit.service.application.contract.session_poses import unpack_loops
 from revisit.service.application.contract.transactions import UnitOfWork
@@ -120,11 +121,14 @@ def _session_problems(session: SessionRecord, submaps: list[SubmapRecord], scans
 
 def _index_problems(uow: UnitOfWork, record: MapRecord, submaps: list[SubmapRecord]) -> list[str]:
     """Replaying the change log gives exactly the described submaps with their descriptors, bit for bit."""
-    replayed: dict[int, bytes] = {}
+    entered: dict[int, IndexChange] = {}
     for change in uow.changes.since(record.tenant, record.number, 0):
-        replayed.pop(change.submap_number, None)
+        entered.pop(change.submap_number, None)
+        if change.whole_session:
+            entered = {n: one for n, one in entered.items() if one.session_number != change.session_number}
         if change.vector is not None:
-            replayed[change.submap_number] = change.vector
+            entered[change.submap_number] = change
+    replayed = {number: change.vector for number, change in entered.items()}
     of_map = {submap.number: submap for submap in submaps if submap.map_id == record.map_id}
     described = {number: submap.descriptor for number, submap in of_map.items() if submap.state == "DESCRIBED"}
     found = [] if replayed == described else [f"index {sorted(replayed)} != database {sorted(described)}"]

@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import asyncio
 import json
+import time
 from dataclasses import replace
 from functools import partial
 
 import httpx
 import pytest
 
-from revisit.core.errors import MalformedBody
+from revisit.core.errors import MalformedBody, UnsupportedEncoding
 from revisit.formats import PLY
 from revisit.service.application import UseCases
 from revisit.service.application.capacity.in_flight import CapacityLimits, InFlight
+from revisit.service.application.catalogue import downloads
+from revisit.service.application.catalogue.downloads import DownloadKind
 from revisit.service.application.catalogue.maps import CreateMap
 from revisit.service.application.catalogue.paging import Page, PageRequest
 from revisit.service.application.catalogue.robots import CreateRobot
@@ -21,7 +24,7 @@ from revisit.service.application.catalogue.sessions import CreateSession
 from revisit.service.application.contract.errors import NotFound, RateLimited
 from revisit.service.application.ingest.clouds import EncodedCloud
 from tests.support.live_service import live_service
-from tests.support.service_world import SESSION, TENANT, World, memory_world, posted, submap
+from tests.support.service_world import SESSION, TENANT, World, described, memory_world, posted, submap
 
 BURST_POINTS = 1_000_000
 SLOWLY = CapacityLimits(client_points_per_s=100.0, burst_s=BURST_POINTS / 100.0)
@@ -72,6 +75,32 @@ async def test_the_keypoints_of_loops_cost_quota_found_or_not(world):
             await world.use_cases.loop_keypoints.of(TENANT, "town", "none")
     with pytest.raises(RateLimited):
         await world.use_cases.loop_keypoints.of(TENANT, "town", "none")
+
+
+async def test_a_file_costs_what_it_takes_to_make(world, monkeypatch):
+    """A scene in glb keeps a core busy for hundreds of milliseconds."""
+    await described(world, a=1)
+
+    def slowly(*_mesh):
+        began_s = time.thread_time()
+        while time.thread_time() - began_s < 0.06:
+            pass
+        return b"glTF"
+
+    monkeypatch.setattr(downloads, "encode_scene", slowly)
+    key = submap("a", 1).key
+    for _ in range(2):
+        assert (await world.use_cases.submaps.download(TENANT, key, DownloadKind.MESH, "glb")).data
+    with pytest.raises(RateLimited):
+        await world.use_cases.submaps.download(TENANT, key, DownloadKind.MESH, "glb")
+
+
+async def test_a_file_that_cannot_be_made_costs_what_was_tried(world):
+    await described(world, a=1)
+    key = submap("a", 1).key
+    with pytest.raises(UnsupportedEncoding):
+        await world.use_cases.submaps.download(TENANT, key, DownloadKind.MESH, "obj")
+    assert (await world.use_cases.submaps.download(TENANT, key, DownloadKind.MESH)).data
 
 
 async def test_a_list_costs_by_the_row(world):

@@ -60,7 +60,9 @@ def test_the_migration_goes_up_down_and_up_on_a_filled_database(database):
 def test_the_migration_makes_the_schema_of_the_tables(database):
     engine = writer_engine(database, checkpoints=True)
     with engine.connect() as connection:
-        context = MigrationContext.configure(connection, opts={"compare_type": True})
+        # What the engine keeps for itself is in no table of the SQL that knows no engine.
+        options = {"compare_type": True, "include_object": lambda _, name, *__: name != "checksum"}
+        context = MigrationContext.configure(connection, opts=options)
         assert compare_metadata(context, tables.metadata) == []
     engine.dispose()
 

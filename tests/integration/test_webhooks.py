@@ -19,6 +19,7 @@ from revisit.sdk.webhooks import verified
 from revisit.service.adapters import webhook_sender
 from revisit.service.adapters.webhook_sender import HttpWebhookSender
 from revisit.service.application.catalogue.paging import PageRequest
+from revisit.service.application.contract.identity import TenantId
 from revisit.service.application.contract.states import EventKind
 from revisit.service.application.push import deliveries
 from revisit.service.application.push.deliveries import MOST_FAILURES, Deliveries, pause_s
@@ -248,6 +249,29 @@ async def test_a_receiver_that_hangs_holds_up_nobody(world, monkeypatch):
         await sending.deliver_due()
         await asyncio.to_thread(eventually, lambda: there.requests)
         await sending.close()
+
+
+async def test_receivers_of_four_tenants_that_hang_do_not_delay_a_fifth(world):
+    with receiver(hold=threading.Event()) as stuck, receiver() as fine:
+        tenants = [TenantId(f"slow-{number}") for number in range(deliveries.AT_ONCE // deliveries.OF_TENANT)]
+        for tenant in tenants:
+            for number in range(deliveries.OF_TENANT):
+                await world.use_cases.webhooks.create(tenant, CreateWebhook(f"h{number}", stuck.url))
+            await heard_of(world, tenant)
+        of = delivering(world)
+        await of.deliver_due()
+        await hooked(world, fine.url)
+        await heard_of(world, TENANT)
+        await of.deliver_due()
+        await asyncio.to_thread(eventually, lambda: fine.requests, "the event waits for the others' receivers")
+        await of.close()
+
+
+async def heard_of(world, tenant):
+    """Something happens in a map of the tenant."""
+    await open_session(world, tenant=tenant)
+    await world.use_cases.posting.post(tenant, submap("a", 1))
+    world.work_off()
 
 
 async def test_a_receiver_that_hangs_is_given_up(world, monkeypatch):

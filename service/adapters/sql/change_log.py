@@ -9,10 +9,14 @@ from typing import Any
 from sqlalchemy import Connection, Select, bindparam, insert, select
 
 from revisit.service.adapters.sql import tables
+from revisit.service.adapters.sql.checksums import sound_descriptor
 from revisit.service.adapters.sql.engine import DatabaseEngine
 from revisit.service.adapters.sql.repositories import new_row
 from revisit.service.application.contract.identity import TenantId
 from revisit.service.application.contract.index import IndexChange
+
+SESSION_REMOVED = "SESSION_REMOVED"
+"""The kind of a change of all submaps of a session, whose number stands in the place of theirs."""
 
 
 class SqlChangeLog:
@@ -36,6 +40,12 @@ class SqlChangeLog:
             self._engine.number_in_commit_order(self._connection, tables.index_changes)
             self._connection.execute(insert(tables.index_changes), rows)
 
+    def record_session_removed(self, tenant: TenantId, map_number: int, session_number: int) -> None:
+        """See `ChangeLog`."""
+        self._engine.number_in_commit_order(self._connection, tables.index_changes)
+        row = _change_row(tenant, map_number, session_number, SESSION_REMOVED)
+        self._connection.execute(insert(tables.index_changes), row)
+
     def since(self, tenant: TenantId, map_number: int, seq: int, limit: int | None = None) -> list[IndexChange]:
         """See `ChangeLog`."""
         asked = {"its_tenant": tenant, "its_map": map_number, "after": seq, "at_most": limit}
@@ -49,7 +59,7 @@ def _changes_since(*, limited: bool) -> Select[Any]:
     changes, submaps = tables.index_changes.c, tables.submaps.c
     since = (
         select(changes.seq, changes.kind, changes.submap_number, submaps.session_number, submaps.ordinal)
-        .add_columns(submaps.position_m, submaps.descriptor)
+        .add_columns(submaps.position_m, submaps.descriptor, submaps.checksum)
         .outerjoin_from(tables.index_changes, tables.submaps, submaps.number == changes.submap_number)
         .where(changes.tenant == bindparam("its_tenant"), changes.map_number == bindparam("its_map"))
         .where(changes.seq > bindparam("after"))
@@ -63,8 +73,10 @@ def _change_row(tenant: TenantId, map_number: int, submap_number: int, kind: str
 
 
 def _change(row: Sequence[Any]) -> IndexChange:
-    seq, kind, submap_number, session_number, ordinal, position_m, descriptor = row
+    seq, kind, submap_number, session_number, ordinal, position_m, descriptor, checksum = row
+    if kind == SESSION_REMOVED:
+        return IndexChange.session_removed(seq, submap_number)
     if session_number is None:
         return IndexChange(seq, submap_number, 0, 0, (0.0, 0.0, 0.0), None)
-    vector = None if kind == "REMOVED" else descriptor
+    vector = None if kind == "REMOVED" else sound_descriptor(submap_number, descriptor, checksum)
     return IndexChange(seq, submap_number, session_number, ordinal, position_m, vector)

@@ -9,7 +9,7 @@ from typing import Any
 from sqlalchemy import BindParameter, Select, and_, bindparam, func, or_, select
 
 from revisit.service.adapters.sql import tables
-from revisit.service.adapters.sql.repositories import SqlRepository
+from revisit.service.adapters.sql.repositories import SqlRepository, seen
 from revisit.service.application.contract.identity import TenantId
 from revisit.service.application.contract.records import LoopRecord
 from revisit.service.application.contract.states import LoopState
@@ -21,7 +21,7 @@ class SqlLoops(SqlRepository[LoopRecord]):
     def telling(self, tenant: TenantId, query_numbers: Sequence[int], reasons: Sequence[str]) -> list[LoopRecord]:
         """See `LoopRepository`."""
         asked = {"queries": query_numbers, "its_tenant": tenant, "its_reasons": reasons}
-        return [self._of(row) for row in self._connection.execute(_telling(), asked)]
+        return [self._of(row) for row in self._connection.execute(_telling(self._sees_all), asked)]
 
     def reasons(self, tenant: TenantId, numbers: Sequence[int]) -> dict[str | None, int]:
         """See `LoopRepository`."""
@@ -39,7 +39,7 @@ def _reasons() -> Select[Any]:
 
 
 @cache
-def _telling() -> Select[Any]:
+def _telling(sees_all: bool) -> Select[Any]:
     """Accepted loops of the `queries`, and those rejected for one of `its_reasons`.
 
     The tenant is made an expression, which no index holds: else the engine looks through all loops of the tenant.
@@ -49,4 +49,4 @@ def _telling() -> Select[Any]:
     rejected = and_(loops.state == LoopState.REJECTED.value, loops.reason.in_(reasons))
     of_tenant = loops.tenant.concat("") == bindparam("its_tenant")
     where = and_(loops.query_number.in_(queries), of_tenant, or_(loops.state == LoopState.ACCEPTED.value, rejected))
-    return select(tables.loops).where(where).order_by(loops.query_number, loops.number)
+    return select(tables.loops).where(where, seen(tables.loops, sees_all)).order_by(loops.query_number, loops.number)

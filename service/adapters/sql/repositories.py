@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from functools import cache
 from operator import itemgetter
 from typing import Any, Generic, TypeVar
@@ -16,6 +16,8 @@ from sqlalchemy import (
     BindParameter,
     ColumnElement,
     Connection,
+    Delete,
+    Integer,
     Row,
     Select,
     Table,
@@ -33,7 +35,9 @@ from sqlalchemy.exc import IntegrityError
 from sqlalchemy.sql.dml import ReturningInsert
 
 from revisit.service.adapters.sql import tables
+from revisit.service.adapters.sql.checksums import sound_descriptor
 from revisit.service.adapters.sql.engine import DatabaseEngine
+from revisit.service.adapters.sql.presence import present
 from revisit.service.application.contract.errors import AlreadyExists, NotFound
 from revisit.service.application.contract.events import ChangeOf
 from revisit.service.application.contract.identity import TenantId
@@ -61,14 +65,17 @@ class SqlRepository(Generic[R]):
         table: Table,
         record: type[R],
         on_change: ChangeOf[R] | None = None,
+        *,
+        sees_all: bool = False,
     ) -> None:
-        """`on_change` hears each add and replace."""
+        """`on_change` hears each add and replace; `sees_all`: rows of what is being deleted are seen, too."""
         self._connection = connection
         self._engine = engine
         self._table = table
         self._record = record
         self._key: tuple[str, ...] = table.info["key"]
         self._on_change = on_change
+        self._sees_all = sees_all
 
     def add(self, record: R) -> R:
         """See `Repository`."""
@@ -103,7 +110,7 @@ class SqlRepository(Generic[R]):
     def get(self, tenant: TenantId, *key: str | int) -> R | None:
         """See `Repository`."""
         asked = of_tenant(tenant, dict(zip(self._key, key, strict=True)))
-        row = self._connection.execute(rows_where(self._table, asked), asked).one_or_none()
+        row = self._connection.execute(self._rows_where(asked), asked).one_or_none()
         return None if row is None else self._of(row)
 
     def find(self, tenant: TenantId, *, after: int = 0, limit: int | None = None, **equals: Scalar) -> list[R]:
@@ -112,23 +119,25 @@ class SqlRepository(Generic[R]):
 
     def numbered(self, tenant: TenantId, numbers: Sequence[int]) -> dict[int, R]:
         """See `Repository`."""
-        rows = self._connection.execute(_numbered(self._table), {"numbers": numbers, "its_tenant": tenant})
+        rows = self._connection.execute(
+            _numbered(self._table, self._sees_all), {"numbers": numbers, "its_tenant": tenant}
+        )
         return {row.number: self._of(row) for row in rows}
 
     def distinct(self, tenant: TenantId, field: str, **equals: Scalar) -> set[Any]:
         """See `Repository`."""
         asked = of_tenant(tenant, equals)
-        query = _distinct_where(self._table, field, *_given_and_absent(asked))
+        query = _distinct_where(self._table, self._sees_all, field, *_given_and_absent(asked))
         return set(self._connection.execute(query, asked).scalars())
 
     def count(self, tenant: TenantId, **equals: Scalar) -> int:
         """See `Repository`."""
         asked = of_tenant(tenant, equals)
-        return int(self._connection.execute(count_where(self._table, asked), asked).scalar_one())
+        return int(self._connection.execute(self._count_where(asked), asked).scalar_one())
 
     def count_of_all_tenants(self, **equals: Scalar) -> int:
         """See `Repository`."""
-        return int(self._connection.execute(count_where(self._table, equals), equals).scalar_one())
+        return int(self._connection.execute(self._count_where(equals), equals).scalar_one())
 
     def of_all_tenants(self, *, after: int = 0, limit: int | None = None) -> list[R]:
         """See `Repository`."""
@@ -160,10 +169,38 @@ class SqlRepository(Generic[R]):
     def delete(self, tenant: TenantId, **equals: Scalar) -> int:
         """See `Repository`."""
         asked = of_tenant(tenant, equals)
-        return self._connection.execute(delete(self._table).where(matches(self._table, asked)), asked).rowcount
+        return self._connection.execute(delete(self._table).where(_matches(self._table, asked)), asked).rowcount
+
+    def some(self, tenant: TenantId, limit: int, **equals: Scalar) -> list[R]:
+        """See `Repository`."""
+        asked = of_tenant(tenant, equals)
+        query = self._rows_where(asked).limit(bindparam("at_most"))
+        return [self._of(row) for row in self._connection.execute(query, {**asked, "at_most": limit})]
+
+    def named(self, tenant: TenantId, field: str, values: Collection[str]) -> set[str]:
+        """See `Repository`."""
+        asked = {"its_tenant": tenant, "its_values": list(values)}
+        return set(self._connection.execute(_values_named(self._table, self._sees_all, field), asked).scalars())
+
+    def delete_some(self, tenant: TenantId, limit: int, field: str, values: Sequence[Scalar]) -> int:
+        """See `Repository`."""
+        asked = {"its_tenant": tenant, "at_most": limit, "its_values": values}
+        return self._connection.execute(_some_deleted(self._table, field), asked).rowcount
+
+    def _rows_where(self, asked: Asked) -> Select[Any]:
+        """The rows that have what is asked."""
+        return _rows_where(self._table, self._sees_all, *_given_and_absent(asked))
+
+    def _count_where(self, asked: Asked) -> Select[int]:
+        """How many rows have what is asked."""
+        return _count_where(self._table, self._sees_all, *_given_and_absent(asked))
+
+    def _where(self, asked: Asked) -> ColumnElement[bool]:
+        """Whether a row has what is asked, and is seen."""
+        return and_(_matches(self._table, asked), seen(self._table, self._sees_all))
 
     def _found(self, asked: Asked, after: int, limit: int | None) -> list[R]:
-        query = _rows_after(self._table, *_given_and_absent(asked), limited=limit is not None)
+        query = _rows_after(self._table, self._sees_all, *_given_and_absent(asked), limited=limit is not None)
         rows = self._connection.execute(query, {**asked, "after_number": after, "at_most": limit})
         return [self._of(row) for row in rows]
 
@@ -178,7 +215,7 @@ class SqlScans(SqlRepository[ScanRecord]):
     def first_seq_from(self, tenant: TenantId, map_id: str, session_id: str, travelled_m: float) -> int | None:
         """See `ScanRepository`."""
         asked = of_tenant(tenant, {"map_id": map_id, "session_id": session_id})
-        where = and_(matches(tables.scans, asked), tables.scans.c.travelled_m >= travelled_m)
+        where = and_(self._where(asked), tables.scans.c.travelled_m >= travelled_m)
         query = select(func.min(tables.scans.c.seq)).where(where)
         first: int | None = self._connection.execute(query, asked).scalar_one()
         return first
@@ -192,7 +229,7 @@ class SqlScans(SqlRepository[ScanRecord]):
     def with_seqs(self, tenant: TenantId, map_id: str, session_id: str, seqs: Sequence[int]) -> list[ScanRecord]:
         """See `ScanRepository`."""
         seq, asked = tables.scans.c.seq, of_tenant(tenant, {"map_id": map_id, "session_id": session_id})
-        rows = self._connection.execute(rows_where(tables.scans, asked).where(seq.in_(seqs)).order_by(seq), asked)
+        rows = self._connection.execute(self._rows_where(asked).where(seq.in_(seqs)).order_by(seq), asked)
         return [self._of(row) for row in rows]
 
 
@@ -209,6 +246,12 @@ class SqlSubmaps(SqlRepository[SubmapRecord]):
             self._connection.execute(insert(tables.last_submaps), first)
         return added
 
+    def _of(self, row: Row[Any]) -> SubmapRecord:
+        """A submap without its descriptor where that is damaged."""
+        record = super()._of(row)
+        descriptor = sound_descriptor(record.number, record.descriptor, row.checksum)
+        return record if descriptor is record.descriptor else dataclasses.replace(record, descriptor=descriptor)
+
     def last_number(self, tenant: TenantId) -> int:
         """See `SubmapRepository`."""
         return int(self._connection.execute(_last_number(), {"tenant": tenant}).scalar() or 0)
@@ -224,13 +267,13 @@ class SqlSubmaps(SqlRepository[SubmapRecord]):
         """See `SubmapRepository`."""
         submaps, asked = tables.submaps.c, of_tenant(tenant, {"map_id": map_id})
         columns = (submaps.number, submaps.session_number, submaps.ordinal, submaps.T_odom_submap)
-        query = select(*columns).where(matches(tables.submaps, asked), submaps.number > after)
+        query = select(*columns).where(self._where(asked), submaps.number > after)
         query = query.order_by(submaps.session_number, submaps.ordinal)
         return [PlacedSubmap(*row) for row in self._connection.execute(query, asked)]
 
     def found(self, tenant: TenantId, numbers: Sequence[int]) -> dict[int, FoundSubmap]:
         """See `SubmapRepository`."""
-        rows = self._connection.execute(_found_submaps(), {"numbers": numbers, "its_tenant": tenant})
+        rows = self._connection.execute(_found_submaps(self._sees_all), {"numbers": numbers, "its_tenant": tenant})
         return {row.number: FoundSubmap(*row) for row in rows}
 
     def path(
@@ -238,13 +281,13 @@ class SqlSubmaps(SqlRepository[SubmapRecord]):
     ) -> list[PathPoint]:
         """See `SubmapRepository`."""
         asked = of_tenant(tenant, {"map_id": map_id, "session_id": session_id})
-        rows = self._connection.execute(_path(back=back), {**asked, "from_ordinal": ordinal, "at_most": limit})
+        rows = self._connection.execute(_path(self._sees_all, back=back), {**asked, "from_ordinal": ordinal, "at_most": limit})
         return [PathPoint(*row) for row in rows]
 
     def first_waiting(self, tenant: TenantId, map_id: str) -> int | None:
         """See `SubmapRepository`."""
         asked = of_tenant(tenant, {"state": SubmapState.QUEUED.value, "map_id": map_id})
-        query = select(func.min(tables.submaps.c.number)).where(matches(tables.submaps, asked))
+        query = select(func.min(tables.submaps.c.number)).where(self._where(asked))
         first: int | None = self._connection.execute(query, asked).scalar_one()
         return first
 
@@ -252,7 +295,7 @@ class SqlSubmaps(SqlRepository[SubmapRecord]):
         """See `SubmapRepository`."""
         submaps = tables.submaps.c
         asked = of_tenant(tenant, {"map_id": map_id, "session_id": session_id})
-        kinds = select(submaps.flags, submaps.failure_code, func.count()).where(matches(tables.submaps, asked))
+        kinds = select(submaps.flags, submaps.failure_code, func.count()).where(self._where(asked))
         counts: Counter[str] = Counter()
         for flags, failure, count in self._connection.execute(
             kinds.group_by(submaps.flags, submaps.failure_code), asked
@@ -269,21 +312,6 @@ def of_tenant(tenant: TenantId, equals: Asked) -> dict[str, Scalar]:
 def column_values(record: Any) -> dict[str, Any]:
     """The fields of a record by column, not copied deeply: JSON fields stay as they are."""
     return {field.name: getattr(record, field.name) for field in dataclasses.fields(record)}
-
-
-def rows_where(table: Table, asked: Asked) -> Select[Any]:
-    """The rows that have what is asked."""
-    return _rows_where(table, *_given_and_absent(asked))
-
-
-def count_where(table: Table, asked: Asked) -> Select[int]:
-    """How many rows have what is asked."""
-    return _count_where(table, *_given_and_absent(asked))
-
-
-def matches(table: Table, asked: Asked) -> ColumnElement[bool]:
-    """Whether a row has what is asked."""
-    return _matches(table, *_given_and_absent(asked))
 
 
 @cache
@@ -305,30 +333,32 @@ def _given_and_absent(asked: Asked) -> tuple[tuple[str, ...], tuple[str, ...]]:
 
 
 @cache
-def _distinct_where(table: Table, field: str, given: tuple[str, ...], absent: tuple[str, ...]) -> Select[Any]:
+def _distinct_where(
+    table: Table, sees_all: bool, field: str, given: tuple[str, ...], absent: tuple[str, ...]
+) -> Select[Any]:
     """Each value of a column that is not null, once."""
     column = table.c[field]
-    return select(column).where(_matches(table, given, absent), column.is_not(None)).distinct()
+    return select(column).where(_has(table, given, absent), seen(table, sees_all), column.is_not(None)).distinct()
 
 
 @cache
-def _numbered(table: Table) -> Select[Any]:
-    return select(table).where(_have_numbers(table))
+def _numbered(table: Table, sees_all: bool) -> Select[Any]:
+    return select(table).where(_have_numbers(table), seen(table, sees_all))
 
 
 @cache
-def _found_submaps() -> Select[Any]:
+def _found_submaps(sees_all: bool) -> Select[Any]:
     columns = (tables.submaps.c[field.name] for field in dataclasses.fields(FoundSubmap))
-    return select(*columns).where(_have_numbers(tables.submaps))
+    return select(*columns).where(_have_numbers(tables.submaps), seen(tables.submaps, sees_all))
 
 
 @cache
-def _path(*, back: bool) -> Select[Any]:
+def _path(sees_all: bool, *, back: bool) -> Select[Any]:
     """What `SubmapRepository.path` tells of the submaps of a session from `from_ordinal` on, or back."""
     submaps = tables.submaps.c
     query = select(*(submaps[field.name] for field in dataclasses.fields(PathPoint)))
-    query = query.where(_matches(tables.submaps, ("tenant", "map_id", "session_id"), ()))
-    start = bindparam("from_ordinal")
+    query = query.where(_has(tables.submaps, ("tenant", "map_id", "session_id"), ()), seen(tables.submaps, sees_all))
+    start = bindparam("from_ordinal", type_=Integer)
     ahead = submaps.ordinal < start if back else submaps.ordinal > start
     order = submaps.ordinal.desc() if back else submaps.ordinal
     return query.where(ahead).order_by(order).limit(bindparam("at_most"))
@@ -358,15 +388,17 @@ def _last_number() -> Select[int]:
 
 
 @cache
-def _rows_where(table: Table, given: tuple[str, ...], absent: tuple[str, ...]) -> Select[Any]:
-    return select(table).where(_matches(table, given, absent))
+def _rows_where(table: Table, sees_all: bool, given: tuple[str, ...], absent: tuple[str, ...]) -> Select[Any]:
+    return select(table).where(_has(table, given, absent), seen(table, sees_all))
 
 
 @cache
-def _rows_after(table: Table, given: tuple[str, ...], absent: tuple[str, ...], *, limited: bool) -> Select[Any]:
+def _rows_after(
+    table: Table, sees_all: bool, given: tuple[str, ...], absent: tuple[str, ...], *, limited: bool
+) -> Select[Any]:
     """The rows whose numbers are above `after_number`, in their order; `at_most` so many of them where `limited`."""
     number = table.c.number
-    rows = _rows_where(table, given, absent).where(number > bindparam("after_number")).order_by(number)
+    rows = _rows_where(table, sees_all, given, absent).where(number > bindparam("after_number")).order_by(number)
     return rows.limit(bindparam("at_most")) if limited else rows
 
 
@@ -378,10 +410,37 @@ def _in_order_of_fields(table: Table, record: type) -> Callable[[Row[Any]], tupl
 
 
 @cache
-def _count_where(table: Table, given: tuple[str, ...], absent: tuple[str, ...]) -> Select[int]:
-    return select(func.count()).select_from(table).where(_matches(table, given, absent))
+def _count_where(table: Table, sees_all: bool, given: tuple[str, ...], absent: tuple[str, ...]) -> Select[int]:
+    return select(func.count()).select_from(table).where(_has(table, given, absent), seen(table, sees_all))
 
 
-def _matches(table: Table, given: tuple[str, ...], absent: tuple[str, ...]) -> ColumnElement[bool]:
+@cache
+def _values_named(table: Table, sees_all: bool, field: str) -> Select[Any]:
+    """Those of `its_values` that the `field` of a row of tenant `its_tenant` has."""
+    values: BindParameter[Any] = bindparam("its_values", expanding=True)
+    its = and_(table.c.tenant == bindparam("its_tenant"), table.c[field].in_(values))
+    return select(table.c[field]).where(its, seen(table, sees_all)).distinct()
+
+
+@cache
+def _some_deleted(table: Table, field: str) -> Delete:
+    """Deletes `at_most` so many rows of tenant `its_tenant` whose `field` has one of `its_values`."""
+    values: BindParameter[Any] = bindparam("its_values", expanding=True)
+    own = table.c.tenant.concat("") == bindparam("its_tenant")
+    some = select(table.c.number).where(table.c[field].in_(values), own).limit(bindparam("at_most"))
+    return delete(table).where(table.c.number.in_(some))
+
+
+def seen(table: Table, sees_all: bool) -> ColumnElement[bool]:
+    """Whether a row is seen by those who see everything, or not."""
+    return true() if sees_all else present(table)
+
+
+def _matches(table: Table, asked: Asked) -> ColumnElement[bool]:
+    """Whether a row has what is asked."""
+    return _has(table, *_given_and_absent(asked))
+
+
+def _has(table: Table, given: tuple[str, ...], absent: tuple[str, ...]) -> ColumnElement[bool]:
     equal = (table.c[name] == bindparam(name) for name in given)
     return and_(true(), *equal, *(table.c[name].is_(None) for name in absent))

@@ -188,6 +188,8 @@ submaps = _numbered(
     _integer("neural_map_bytes", nullable=True),
     _text("failure_code", nullable=True),
     Column("failure_message", Text, nullable=True),
+    # No field of the record: the engine keeps it, if it keeps any (see `checksums`).
+    _integer("checksum", nullable=True),
     ForeignKeyConstraint(
         ["tenant", "map_id", "session_id"], ["sessions.tenant", "sessions.map_id", "sessions.session_id"]
     ),
@@ -298,6 +300,14 @@ early_corrections = _numbered(
     ForeignKeyConstraint(
         ["tenant", "map_id", "session_id"], ["sessions.tenant", "sessions.map_id", "sessions.session_id"]
     ),
+)
+
+deletions = _numbered(
+    "deletions",
+    ("map_id", "session_id"),
+    _text("map_id"),
+    _text("session_id"),
+    _integer("created_at_ns"),
 )
 
 map_merges = _numbered(

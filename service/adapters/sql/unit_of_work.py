@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Generic, TypeVar
 
@@ -29,6 +29,7 @@ from revisit.service.application.contract.events import (
     on_version_change,
 )
 from revisit.service.application.contract.records import (
+    DeletionRecord,
     EarlyCorrectionRecord,
     JobRecord,
     LoopEventRecord,
@@ -69,7 +70,7 @@ class Stored(Generic[Kind]):
     def __get__(self, work: SqlUnitOfWork, owner: type) -> Kind:
         """The repository; from now on it is found in the unit of work itself."""
         on_change = None if self._told is None else self._told(work.events)
-        made = self._kind(work.connection, work.engine, self._table, self._record, on_change)
+        made = self._kind(work.connection, work.engine, self._table, self._record, on_change, sees_all=work.sees_all)
         vars(work)[self._name] = made
         return made
 
@@ -88,6 +89,8 @@ class SqlUnitOfWork:
     connection: Connection
     engine: DatabaseEngine
     lease_ms: int
+    sees_all: bool = False
+    """Whether rows of what is being deleted are seen."""
 
     maps = stored(tables.maps, MapRecord)
     """Maps by (map_id)."""
@@ -109,6 +112,8 @@ class SqlUnitOfWork:
     """The poses of sessions in versions of maps by (map_id, version, session_id)."""
     early_corrections = stored(tables.early_corrections, EarlyCorrectionRecord)
     """Corrections ahead of the next version by (map_id, session_id)."""
+    deletions = stored(tables.deletions, DeletionRecord)
+    """What is being deleted by (map_id, session_id)."""
     map_merges = stored(tables.map_merges, MapMergeRecord)
     """Merges into maps by (map_id, merge_id)."""
     map_tiles = stored(tables.map_tiles, MapTileRecord)
@@ -121,6 +126,11 @@ class SqlUnitOfWork:
     """Webhooks by (webhook_id)."""
     webhook_deliveries = stored(tables.webhook_deliveries, DeliveryRecord)
     """Attempts to deliver by (number)."""
+
+    @cached_property
+    def everything(self) -> SqlUnitOfWork:
+        """The same transaction, which also sees the rows of what is being deleted."""
+        return replace(self, sees_all=True)
 
     @cached_property
     def queue(self) -> LeasedJobs:

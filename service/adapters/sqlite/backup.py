@@ -36,6 +36,7 @@ from revisit.service.adapters.sqlite.backup_key import KEY_FILE, own_key, signat
 from revisit.service.adapters.sqlite.blob_rows import named_blobs
 from revisit.service.adapters.sqlite.connections import DATABASE, open_to_read
 from revisit.service.adapters.sqlite.migration import current_revision, known_revisions
+from revisit.service.adapters.sqlite.row_checksums import damaged_rows
 
 FORMAT = 2
 """Of a signed manifest. Backups of format 1, which are not signed, are restored where that is asked for."""
@@ -47,7 +48,7 @@ MANIFEST = "manifest.json"
 
 @dataclass(frozen=True)
 class Manifest:
-    """The contents of a backup. `lost`: the blobs that were missing or damaged when it was made.
+    """The contents of a backup. `lost`: the blobs that were missing or damaged when it was made, and the damaged rows.
 
     `signature` is that of the other fields.
     """
@@ -118,6 +119,7 @@ def _fill_backup(home: Path, partial: Path, version: str, revision: str) -> Mani
     with nothing_deleted(home / BLOBS):
         _copy_database(home / DATABASE, partial / DATABASE)
         with closing(open_to_read(partial / DATABASE, at_rest=True)) as rows:
+            damaged = tuple(damaged_rows(rows))
             count, size_bytes, lost = _copy_blobs(rows, home / BLOBS, partial / BLOBS)
     return Manifest(
         format=FORMAT,
@@ -127,7 +129,7 @@ def _fill_backup(home: Path, partial: Path, version: str, revision: str) -> Mani
         database_sha256=_sha256(partial / DATABASE),
         blobs=count,
         blob_bytes=size_bytes,
-        lost=lost,
+        lost=damaged + lost,
     )
 
 
@@ -175,8 +177,9 @@ def _check_database(database: Path, manifest: Manifest) -> None:
         raise BackupRefused("the database of the backup is missing or damaged")
     with closing(open_to_read(database, at_rest=True)) as connection:
         (verdict,) = connection.execute("PRAGMA integrity_check(1)").fetchone()
-    if verdict != "ok":
-        raise BackupRefused(f"the database of the backup is damaged: {verdict}")
+        damaged = sorted(set(damaged_rows(connection)) - set(manifest.lost)) if verdict == "ok" else []
+    if verdict != "ok" or damaged:
+        raise BackupRefused(f"the database of the backup is damaged: {', '.join(damaged[:3]) or verdict}")
 
 
 def _copy_database(database: Path, target: Path) -> None:

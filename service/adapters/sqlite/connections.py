@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sqlite3
 import threading
+from collections.abc import Callable
 from contextlib import closing
 from functools import partial
 from pathlib import Path
@@ -12,6 +13,8 @@ from typing import Any
 from pydantic_core import from_json
 from sqlalchemy import Connection, Engine, create_engine, event
 from sqlalchemy.pool import NullPool
+
+from revisit.service.adapters.sqlite.row_checksums import keep_checksums
 
 DATABASE = "revisit.db"
 """The name of the database file in the data folder."""
@@ -31,13 +34,14 @@ WRITER_PRAGMAS: dict[str, str | int] = {
 READER_PRAGMAS: dict[str, str | int] = {"query_only": 1, "busy_timeout": 5000, "wal_autocheckpoint": 0}
 
 
-def writer_engine(path: Path, *, checkpoints: bool) -> Engine:
+def writer_engine(path: Path, *, checkpoints: bool, checksums: bool = True) -> Engine:
     """An engine of one connection whose transactions take the write lock at once and are on disk when they commit.
 
-    `checkpoints`: after every 1000 pages a commit copies the write-ahead log back into the database.
+    `checkpoints`: after every 1000 pages a commit copies the write-ahead log back into the database. Every row that is
+    written gets its checksum, unless the schema itself is to be changed (`checksums`).
     """
     engine = create_engine(f"sqlite:///{path}", json_deserializer=from_json, pool_size=1, max_overflow=0)
-    _prepare(engine, writer_pragmas(checkpoints=checkpoints), "BEGIN IMMEDIATE")
+    _prepare(engine, writer_pragmas(checkpoints=checkpoints), "BEGIN IMMEDIATE", keep_checksums if checksums else None)
     return engine
 
 
@@ -114,12 +118,19 @@ def write_ahead_log(database: Path) -> Path:
     return database.with_name(f"{database.name}-wal")
 
 
-def _prepare(engine: Engine, pragmas: dict[str, str | int], begin: str) -> None:
+def _prepare(
+    engine: Engine,
+    pragmas: dict[str, str | int],
+    begin: str,
+    afterwards: Callable[[sqlite3.Connection], None] | None = None,
+) -> None:
     @event.listens_for(engine, "connect")
     def set_pragmas(connection: Any, _record: Any) -> None:
         # The driver must not begin transactions by itself: it would do so only before a write.
         connection.isolation_level = None
         for name, value in pragmas.items():
             connection.execute(f"PRAGMA {name}={value}")
+        if afterwards is not None:
+            afterwards(connection)
 
     event.listen(engine, "begin", partial(Connection.exec_driver_sql, statement=begin))

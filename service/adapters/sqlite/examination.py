@@ -15,6 +15,7 @@ from revisit.service.adapters.files.filesystem import MOUNTS, RemoteFileSystem, 
 from revisit.service.adapters.sqlite.blob_rows import named_blobs
 from revisit.service.adapters.sqlite.connections import DATABASE, open_to_read, write_ahead_log
 from revisit.service.adapters.sqlite.migration import NEWEST_REVISION, current_revision, known_revisions
+from revisit.service.adapters.sqlite.row_checksums import damaged_rows
 from revisit.service.application.contract.blobs import StoredBlob
 from revisit.service.application.housekeeping.system import WAL_ALARM_BYTES
 
@@ -36,7 +37,7 @@ class Finding:
 
 
 def examine(home: Path, *, full: bool) -> list[Finding]:
-    """Check a data folder, whether or not the service runs, and change nothing. `full`: read every blob."""
+    """Check a data folder, whether or not the service runs, and change nothing. `full`: read every blob and row."""
     database = home / DATABASE
     findings = [_sqlite_library(), _file_system(home)]
     if not database.exists():
@@ -44,8 +45,9 @@ def examine(home: Path, *, full: bool) -> list[Finding]:
     try:
         with closing(open_to_read(database)) as rows:
             findings += [_schema(database), _pages(rows), _references(rows), _wal(database)]
+            findings += [_rows(rows)] if full else []
             findings.append(_blobs(home, list(named_blobs(rows)), full=full))
-    except sqlite3.Error as error:
+    except (sqlite3.Error, UnicodeError) as error:  # SQLite's messages hold names, damaged or not
         findings.append(Finding("database", False, f"{database}: {error}"))
     aside = FileBlobStore(home / "blobs").quarantined() if (home / "blobs").is_dir() else 0
     detail = f"{aside} damaged blobs lie in {home / 'blobs' / QUARANTINE}" if aside else "empty"
@@ -54,12 +56,15 @@ def examine(home: Path, *, full: bool) -> list[Finding]:
 
 @dataclass(frozen=True)
 class Scrubbed:
-    """The result of a scrub: blobs read, blobs moved to quarantine, blobs missing; SQLite's integrity verdict."""
+    """The result of a scrub: blobs read, blobs moved to quarantine, blobs missing; SQLite's integrity verdict, and the
+    rows that are not what was written.
+    """
 
     checked: int
     damaged: tuple[str, ...]
     missing: tuple[str, ...]
     database: str
+    rows: tuple[str, ...]
 
 
 def scrub(home: Path) -> Scrubbed:
@@ -73,6 +78,8 @@ def scrub(home: Path) -> Scrubbed:
     missing: list[str] = []
     with closing(open_to_read(home / DATABASE)) as rows:
         (verdict,) = rows.execute("PRAGMA integrity_check(1)").fetchone()
+        # Where a page is wrong, rows cannot be read.
+        wrong = tuple(damaged_rows(rows)) if verdict == "ok" else ()
         blobs = list(named_blobs(rows))
     for blob in blobs:
         there = blob_path(home / "blobs", blob).exists()
@@ -80,7 +87,7 @@ def scrub(home: Path) -> Scrubbed:
             store.get(blob.tenant, blob.kind, blob.sha256)
         except DataLoss:
             (damaged if there else missing).append(f"{blob.tenant}/{blob.kind}/{blob.sha256}")
-    return Scrubbed(len(blobs), tuple(damaged), tuple(missing), str(verdict))
+    return Scrubbed(len(blobs), tuple(damaged), tuple(missing), str(verdict), wrong)
 
 
 def _sqlite_library() -> Finding:
@@ -111,6 +118,12 @@ def _schema(database: Path) -> Finding:
 def _pages(rows: sqlite3.Connection) -> Finding:
     (verdict,) = rows.execute("PRAGMA integrity_check(1)").fetchone()
     return Finding("database", verdict == "ok", f"integrity {verdict}")
+
+
+def _rows(rows: sqlite3.Connection) -> Finding:
+    wrong = list(damaged_rows(rows))
+    examples = f": {'; '.join(wrong[:3])}" if wrong else ""
+    return Finding("rows", not wrong, f"{len(wrong)} are not what was written{examples}")
 
 
 def _references(rows: sqlite3.Connection) -> Finding:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sqlite3
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -10,6 +11,7 @@ from sqlalchemy import Connection
 
 from revisit.service.adapters.files.filesystem import require_local
 from revisit.service.adapters.sqlite.connections import writer_engine
+from revisit.service.adapters.sqlite.row_checksums import seal
 from revisit.service.adapters.sqlite.transactions import WriterLock
 
 if TYPE_CHECKING:  # imported where something is migrated: a worker only asks for the revision
@@ -18,7 +20,7 @@ if TYPE_CHECKING:  # imported where something is migrated: a worker only asks fo
 
 MIGRATIONS = Path(__file__).resolve().parents[3] / "migrations"
 
-NEWEST_REVISION = "0022"
+NEWEST_REVISION = "0024"
 """What this version brings a database to: the head of `migrations`. A start that finds it has nothing to read there."""
 
 
@@ -48,7 +50,7 @@ def known_revisions() -> frozenset[str]:
 
 
 def current_revision(database: Path) -> str | None:
-    """The revision a database is at, or None for an empty one."""
+    """The revision a database is at, or None for an empty one. Raises sqlite3.DatabaseError for a damaged one."""
     if not database.exists():
         return None
     connection = sqlite3.connect(f"file:{database}?mode=ro", uri=True)
@@ -56,6 +58,8 @@ def current_revision(database: Path) -> str | None:
         row = connection.execute("SELECT version_num FROM alembic_version").fetchone()
     except sqlite3.OperationalError:
         return None
+    except UnicodeError as error:  # of SQLite's message about a name that is none any more
+        raise sqlite3.DatabaseError("the schema of the database is damaged") from error
     finally:
         connection.close()
     return None if row is None else str(row[0])
@@ -75,7 +79,7 @@ def _migrate(database: Path, revision: str) -> None:
             "newer version, or restore a backup of this one"
         )
     upwards = revision == "head" or present is None
-    engine = writer_engine(database, checkpoints=True)
+    engine = writer_engine(database, checkpoints=True, checksums=False)
     try:
         with engine.connect() as connection:
             config = _configuration(connection)
@@ -84,6 +88,14 @@ def _migrate(database: Path, revision: str) -> None:
         raise ForeignSchema(str(error)) from error
     finally:
         engine.dispose()
+
+
+def _seal(connection: Connection) -> None:
+    """Give all rows their checksums, in the transaction of the migrations."""
+    driver = connection.connection.driver_connection
+    if not isinstance(driver, sqlite3.Connection):
+        raise TypeError(f"the migrations run on {type(driver).__name__}, not on SQLite's own driver")
+    seal(driver)
 
 
 def _scripts() -> ScriptDirectory:
@@ -98,6 +110,6 @@ def _configuration(connection: Connection) -> Config:
 
     # Batch mode: what SQLite's ALTER TABLE cannot change is changed in a copy of the table.
     options = {"connection": connection, "render_as_batch": True, "transactional_ddl": True}
-    config = Config(attributes={"options": options})
+    config = Config(attributes={"options": options, "afterwards": partial(_seal, connection)})
     config.set_main_option("script_location", str(MIGRATIONS))
     return config

@@ -23,6 +23,9 @@ from revisit.service.application.contract.identity import TenantId
 CALL_POINTS = 1_000
 """What a request is charged beside its points."""
 
+POINTS_PER_S = 10_000_000
+"""What a second of a core is worth: a point is a tenth of a microsecond."""
+
 BUSY_RETRY_S = 1.0
 """When to come back where all slots are taken."""
 

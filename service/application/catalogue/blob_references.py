@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from functools import partial
 
 from revisit.service.application.contract.blobs import (
@@ -16,7 +16,7 @@ from revisit.service.application.contract.blobs import (
     BlobStore,
 )
 from revisit.service.application.contract.identity import TenantId
-from revisit.service.application.contract.records import SubmapRecord
+from revisit.service.application.contract.records import MapFileRecord, MapTileRecord, ScanRecord, SubmapRecord
 from revisit.service.application.contract.storage import Storage
 from revisit.service.application.contract.transactions import UnitOfWork
 from revisit.service.failpoints import failpoint
@@ -42,33 +42,33 @@ def blobs_of_submap(record: SubmapRecord) -> set[Blob]:
     return {(kind, sha256) for kind, sha256 in named if sha256 is not None}
 
 
-def blobs_of_rows(uow: UnitOfWork, tenant: TenantId, **equals: str) -> set[Blob]:
-    """The blobs that scans and submaps name whose fields equal `equals`."""
-    named = {(CLOUD_BLOB, sha256) for sha256 in uow.scans.distinct(tenant, FIELDS[CLOUD_BLOB], **equals)}
-    for kind, field in FIELDS.items():
-        named |= {(kind, sha256) for sha256 in uow.submaps.distinct(tenant, field, **equals)}
-    return named
+def blob_of_scan(record: ScanRecord) -> Blob:
+    """The blob of a scan's cloud."""
+    return CLOUD_BLOB, record.cloud_sha256
+
+
+def blob_of_tile(record: MapTileRecord) -> Blob:
+    """The blob of a tile of a map."""
+    return TILE_BLOB, record.tile_sha256
+
+
+def blob_of_file(record: MapFileRecord) -> Blob:
+    """The blob that says what the bytes of a map's file are."""
+    return MAP_LAYOUT_BLOB, record.layout_sha256
 
 
 def forget_made(uow: UnitOfWork, tenant: TenantId, map_id: str, session_id: str) -> set[Blob]:
     """Delete the tiles and files that were made of a session before a part of it goes; their blobs."""
-    versions = uow.session_poses.distinct(tenant, "version", map_id=map_id, session_id=session_id)
-    tiles = [row for row in uow.map_tiles.find(tenant, map_id=map_id) if row.version in versions]
-    files = [row for row in uow.map_files.find(tenant, map_id=map_id) if session_id in row.sessions]
-    for tile in tiles:
-        uow.map_tiles.delete(tenant, number=tile.number)
-    for file in files:
-        uow.map_files.delete(tenant, number=file.number)
-    return {(TILE_BLOB, one.tile_sha256) for one in tiles} | {(MAP_LAYOUT_BLOB, one.layout_sha256) for one in files}
-
-
-def forget_all_made(uow: UnitOfWork, tenant: TenantId, map_id: str) -> set[Blob]:
-    """Delete all tiles and files of a map; their blobs."""
-    tiles = uow.map_tiles.distinct(tenant, "tile_sha256", map_id=map_id)
-    layouts = uow.map_files.distinct(tenant, "layout_sha256", map_id=map_id)
-    for rows in (uow.map_tiles, uow.map_files):
-        rows.delete(tenant, map_id=map_id)
-    return {(TILE_BLOB, sha256) for sha256 in tiles} | {(MAP_LAYOUT_BLOB, sha256) for sha256 in layouts}
+    doomed = set[Blob]()
+    for version in uow.session_poses.distinct(tenant, "version", map_id=map_id, session_id=session_id):
+        tiles = {"map_id": map_id, "version": version}
+        doomed |= {(TILE_BLOB, sha256) for sha256 in uow.map_tiles.distinct(tenant, "tile_sha256", **tiles)}
+        uow.map_tiles.delete(tenant, **tiles)
+    for file in uow.map_files.find(tenant, map_id=map_id):
+        if session_id in file.sessions:
+            uow.map_files.delete(tenant, number=file.number)
+            doomed.add(blob_of_file(file))
+    return doomed
 
 
 class BlobCollector:
@@ -94,21 +94,33 @@ def collect_blobs(uow: UnitOfWork, blobs: BlobStore, tenant: TenantId, doomed: I
     reference to such a blob checks in a write transaction too that the blob is there (`Storage.keep_blob`). So either
     that transaction sees the blob missing, or this one sees the reference.
     """
-    for kind, sha256 in doomed:
-        if not is_referenced(uow, tenant, kind, sha256):
-            blobs.delete(tenant, kind, sha256)
-            failpoint("delete.after_blob")
+    for kind, sha256 in sorted(unreferenced(uow, tenant, doomed)):
+        blobs.delete(tenant, kind, sha256)
+        failpoint("delete.after_blob")
 
 
-def is_referenced(uow: UnitOfWork, tenant: TenantId, kind: str, sha256: str) -> bool:
-    """Whether a row names the blob. None names the cloud of a query, or a mesh: who asked deletes it."""
+def unreferenced(uow: UnitOfWork, tenant: TenantId, blobs: Iterable[Blob]) -> set[Blob]:
+    """Those of these blobs that no row names."""
+    by_kind: dict[str, set[str]] = {}
+    for kind, sha256 in blobs:
+        by_kind.setdefault(kind, set()).add(sha256)
+    named = {kind: _named(uow, tenant, kind, hashes) for kind, hashes in by_kind.items()}
+    return {(kind, sha256) for kind, hashes in by_kind.items() for sha256 in hashes - named[kind]}
+
+
+def _named(uow: UnitOfWork, tenant: TenantId, kind: str, hashes: Collection[str]) -> set[str]:
+    """Those of these blobs of a kind that a row names.
+
+    No row names the cloud of a query, or a mesh: who asked deletes it with the answer.
+    """
     if kind == CLOUD_BLOB:
-        return bool(uow.submaps.count(tenant, cloud_sha256=sha256) or uow.scans.count(tenant, cloud_sha256=sha256))
+        field = FIELDS[CLOUD_BLOB]
+        return uow.submaps.named(tenant, field, hashes) | uow.scans.named(tenant, field, hashes)
     if kind in (QUERY_CLOUD_BLOB, MESH_BLOB):
-        return False
+        return set()
     if kind == TILE_BLOB:
-        return uow.map_tiles.count(tenant, tile_sha256=sha256) > 0
+        return uow.map_tiles.named(tenant, "tile_sha256", hashes)
     if kind == MAP_LAYOUT_BLOB:
-        return uow.map_files.count(tenant, layout_sha256=sha256) > 0
+        return uow.map_files.named(tenant, "layout_sha256", hashes)
     # A kind that this version does not know is another version's: it stays.
-    return kind not in FIELDS or uow.submaps.count(tenant, **{FIELDS[kind]: sha256}) > 0
+    return uow.submaps.named(tenant, FIELDS[kind], hashes) if kind in FIELDS else set(hashes)

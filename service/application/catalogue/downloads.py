@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import asyncio
 import io
+import time
 from collections.abc import Awaitable, Callable, Iterator
 from dataclasses import dataclass
 from enum import StrEnum
@@ -13,10 +15,14 @@ from revisit.core.errors import UnsupportedEncoding
 from revisit.formats import NPY, PCD, PLY, encode_npy, encode_pcd, encode_ply, encode_ply_mesh
 from revisit.formats.glb import MEDIA_TYPE as GLB
 from revisit.formats.glb import encode_scene
+from revisit.service.application.capacity.in_flight import POINTS_PER_S, InFlight, Turns
 from revisit.service.application.contract.blobs import CLOUD_BLOB, NEURAL_MAP_BLOB, BlobStore
 from revisit.service.application.contract.errors import NotFound, NotReady
+from revisit.service.application.contract.identity import TenantId
 from revisit.service.application.contract.recogniser import Mesh
 from revisit.service.application.contract.records import SubmapRecord
+from revisit.service.application.contract.states import SubmapState
+from revisit.service.application.contract.storage import require_descriptor
 from revisit.service.application.ingest.clouds import StoredCloud, unpack_cloud
 from revisit.service.application.ingest.submap_source import SubmapSource, load_submap
 
@@ -75,6 +81,40 @@ async def any_room(count: int) -> None:
     """The `Room` of a caller that is no client of the gateway."""
 
 
+class Rendering:
+    """Makes files: one at a time, for the largest takes several times its size for a moment, and tenants in turns.
+
+    Each is charged what it took of a core, made or not: a scene in glb takes hundreds of milliseconds.
+    """
+
+    def __init__(self, in_flight: InFlight) -> None:
+        """Files are charged to the rate limits of `in_flight`."""
+        self._in_flight = in_flight
+        self._turns = Turns(1)
+
+    async def of(self, tenant: TenantId, make: Callable[[], Download]) -> Download:
+        """The file that `make` makes, in a thread. Raises RateLimited, and what `make` raises."""
+        async with self._turns.of(tenant):
+            self._in_flight.check_rate(tenant)
+            spent_s: list[float] = []
+            made = asyncio.create_task(asyncio.to_thread(_timed, make, spent_s))
+            try:
+                return await asyncio.shield(made)
+            finally:
+                # Of a caller that goes away, too: the thread works to its end.
+                await asyncio.wait({made})
+                self._in_flight.charge_call(tenant, int(POINTS_PER_S * sum(spent_s)))
+
+
+def _timed(make: Callable[[], Download], spent_s: list[float]) -> Download:
+    """What `make` makes; what it took of a core is added to `spent_s`, seconds."""
+    began_s = time.thread_time()
+    try:
+        return make()
+    finally:
+        spent_s.append(time.thread_time() - began_s)
+
+
 def extension_of(kind: DownloadKind, file_format: str | None) -> str:
     """The format asked for, or that of the kind. Raises UnsupportedEncoding."""
     extension = file_format or FORMATS[kind][0]
@@ -90,7 +130,7 @@ def named(data: bytes, record: SubmapRecord, kind: DownloadKind, extension: str)
 
 def require_neural_map(record: SubmapRecord) -> str:
     """The hash of a submap's neural map. Raises NotReady before it is described, NotFound where it has none."""
-    if record.descriptor is None:
+    if record.state != SubmapState.DESCRIBED:
         raise NotReady
     if record.neural_map_sha256 is None:
         raise NotFound("this submap was described without a neural map")
@@ -112,10 +152,10 @@ def stored_file(
         return _points_file(_points(blobs, record, source), extension)
     if kind is DownloadKind.NEURAL:
         return blobs.get(record.tenant, NEURAL_MAP_BLOB, require_neural_map(record))
-    if record.descriptor is None:
+    if record.state != SubmapState.DESCRIBED:
         raise NotReady
     buffer = io.BytesIO()
-    np.save(buffer, np.frombuffer(record.descriptor, dtype="<f4"), allow_pickle=False)
+    np.save(buffer, np.frombuffer(require_descriptor(record), dtype="<f4"), allow_pickle=False)
     return buffer.getvalue()
 
 

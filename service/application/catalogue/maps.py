@@ -9,8 +9,8 @@ from revisit.core.config import PipelineConfig
 from revisit.service.application.access import audit
 from revisit.service.application.access.audit import AuditEntry
 from revisit.service.application.capacity.admission import Admission
-from revisit.service.application.catalogue.blob_references import Blob, BlobCollector
-from revisit.service.application.catalogue.deletion import delete_map
+from revisit.service.application.catalogue.deletion import mark_map
+from revisit.service.application.catalogue.erasure import Erasure
 from revisit.service.application.catalogue.paging import Lists, Page, PageRequest
 from revisit.service.application.contract import limits
 from revisit.service.application.contract.clock import Clock
@@ -19,7 +19,7 @@ from revisit.service.application.contract.index import VectorIndex
 from revisit.service.application.contract.loop_policy import LoopPolicy
 from revisit.service.application.contract.policy import Policy
 from revisit.service.application.contract.records import MapRecord
-from revisit.service.application.contract.storage import Storage, require_map, require_same_content
+from revisit.service.application.contract.storage import Storage, require_deleted, require_map, require_same_content
 from revisit.service.application.contract.transactions import UnitOfWork
 from revisit.service.application.ingest.open_streams import OpenStreams
 from revisit.service.failpoints import failpoint
@@ -77,17 +77,17 @@ class Maps:
         storage: Storage,
         lists: Lists,
         admission: Admission,
-        collector: BlobCollector,
+        erasure: Erasure,
         index: VectorIndex,
         streams: OpenStreams,
         clock: Clock,
         policy: Policy,
     ) -> None:
-        """`index` forgets a deleted map, `streams` end, `collector` deletes its blobs."""
+        """`index` forgets a deleted map, its `streams` end, and its rows and blobs go through `erasure`."""
         self._storage = storage
         self._lists = lists
         self._admission = admission
-        self._collector = collector
+        self._erasure = erasure
         self._index = index
         self._streams = streams
         self._clock = clock
@@ -96,7 +96,8 @@ class Maps:
     async def create(self, tenant: TenantId, command: CreateMap) -> CreatedMap:
         """Create a map.
 
-        Raises BadField; AlreadyExists where the id is taken by other content; Draining, RateLimited.
+        Raises BadField; AlreadyExists where the id is taken by other content; StillDeleting where a map of this id was
+        deleted and is not gone yet; Draining, RateLimited.
         """
         self._admission.charge_creation(tenant)
         record = self._record(tenant, command)
@@ -105,6 +106,7 @@ class Maps:
     def _add(self, uow: UnitOfWork, record: MapRecord) -> CreatedMap:
         known = uow.maps.get(record.tenant, record.map_id)
         if known is None:
+            require_deleted(uow, record.tenant, record.map_id)
             return CreatedMap(self._view(uow, uow.maps.add(record)), replay=False)
         require_same_content(known.content_hash, record.content_hash, f"map {record.map_id}")
         return CreatedMap(self._view(uow, known), replay=True)
@@ -120,15 +122,15 @@ class Maps:
         )
 
     async def delete(self, tenant: TenantId, map_id: str) -> None:
-        """Delete a map with everything in it. Raises NotFound, Draining."""
+        """Delete a map with everything in it, as `Sessions.delete` does. Raises NotFound, Draining."""
         self._admission.require_running()
         entry = audit.noted(tenant, "map_deleted", f"maps/{map_id}")
         work = partial(_delete, map_id=map_id, entry=entry, at_ns=self._clock.wall_ns())
-        number, doomed = await self._storage.write(work)
-        failpoint("delete.after_rows")
+        number = await self._storage.write(work)
+        failpoint("delete.after_mark")
         self._streams.end(tenant, map_id)
         self._index.drop(number)
-        await self._collector.collect(tenant, doomed)
+        await self._erasure.soon(tenant, map_id)
 
     def _record(self, tenant: TenantId, command: CreateMap) -> MapRecord:
         validated_id(command.map_id, "map_id")
@@ -179,10 +181,11 @@ def policy_in_force(config: PipelineConfig) -> LoopPolicy:
     return LoopPolicy(config.loop.candidates, rules.min_score, rules.min_overlap, rules.max_seen_through)
 
 
-def _delete(uow: UnitOfWork, map_id: str, entry: AuditEntry, at_ns: int) -> tuple[int, set[Blob]]:
+def _delete(uow: UnitOfWork, map_id: str, entry: AuditEntry, at_ns: int) -> int:
     record = require_map(uow, TenantId(entry.tenant), map_id)
     audit.append(uow, at_ns, entry)
-    return record.number, delete_map(uow, record, at_ns)
+    mark_map(uow, record, at_ns)
+    return record.number
 
 
 def model_for_map(record: MapRecord, model_version: str) -> str:

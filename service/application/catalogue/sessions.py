@@ -11,7 +11,8 @@ from revisit.service.application.access.audit import AuditEntry
 from revisit.service.application.capacity.admission import Admission
 from revisit.service.application.capacity.backlog import JobPosting
 from revisit.service.application.catalogue.blob_references import Blob, BlobCollector
-from revisit.service.application.catalogue.deletion import delete_session
+from revisit.service.application.catalogue.deletion import mark_session
+from revisit.service.application.catalogue.erasure import Erasure
 from revisit.service.application.catalogue.no_loops import NoLoops, why_no_loops
 from revisit.service.application.catalogue.paging import Lists, Page, PageRequest
 from revisit.service.application.contract.clock import Clock
@@ -27,6 +28,7 @@ from revisit.service.application.contract.records import SessionRecord
 from revisit.service.application.contract.states import SessionState
 from revisit.service.application.contract.storage import (
     Storage,
+    require_deleted,
     require_map,
     require_robot,
     require_same_content,
@@ -103,16 +105,21 @@ class Sessions:
         admission: Admission,
         jobs: JobPosting,
         collector: BlobCollector,
+        erasure: Erasure,
         streams: OpenStreams,
         clock: Clock,
         policy: Policy,
     ) -> None:
-        """The last submap of a finished session is queued through `jobs`; `streams` of a deleted one end."""
+        """The last submap of a finished session is queued through `jobs`.
+
+        A deleted one goes through `erasure`, and its `streams` end.
+        """
         self._storage = storage
         self._lists = lists
         self._admission = admission
         self._jobs = jobs
         self._collector = collector
+        self._erasure = erasure
         self._streams = streams
         self._clock = clock
         self._policy = policy
@@ -120,7 +127,8 @@ class Sessions:
     async def create(self, tenant: TenantId, command: CreateSession) -> CreatedSession:
         """Create a session.
 
-        Raises BadField; NotFound for map or robot; AlreadyExists for other content; Draining, RateLimited.
+        Raises BadField; NotFound for map or robot; AlreadyExists for other content; StillDeleting where a session of
+        this id was deleted and is not gone yet; Draining, RateLimited.
         """
         self._admission.charge_creation(tenant)
         record = self._record(tenant, command)
@@ -158,14 +166,16 @@ class Sessions:
     async def delete(self, tenant: TenantId, key: SessionKey) -> None:
         """Delete a session with its scans, its submaps and their loop closures; its streams end, its jobs are dropped.
 
-        Its id is free again. Raises NotFound, Draining.
+        Nobody sees anything of it from the commit on. Its id is free again once its rows are gone, which a large
+        session takes longer for than this call (`erasure.AWAITED_S`). Raises NotFound, Draining.
         """
         self._admission.require_running()
         entry = audit.noted(tenant, "session_deleted", key.name)
         doomed = await self._storage.write(partial(_delete, key=key, entry=entry, at_ns=self._clock.wall_ns()))
-        failpoint("delete.after_rows")
+        failpoint("delete.after_mark")
         self._streams.end(tenant, key.map_id, key.session_id)
         await self._collector.collect(tenant, doomed)
+        await self._erasure.soon(tenant, key.map_id, key.session_id)
 
     def _whole(self, uow: UnitOfWork, record: SessionRecord) -> SessionView:
         """The view with its findings, for which all submaps of the session are looked at, and why it has no loop."""
@@ -203,6 +213,7 @@ def _add(uow: UnitOfWork, record: SessionRecord) -> CreatedSession:
     require_map(uow, record.tenant, record.map_id)
     known = uow.sessions.get(record.tenant, record.map_id, record.session_id)
     if known is None:
+        require_deleted(uow, record.tenant, record.map_id, record.session_id)
         if record.robot_id is not None:
             require_robot(uow, record.tenant, record.robot_id)
         return CreatedSession(_view(uow, uow.sessions.add(record)), replay=False)
@@ -219,7 +230,7 @@ def _delete(uow: UnitOfWork, key: SessionKey, entry: AuditEntry, at_ns: int) -> 
     tenant = TenantId(entry.tenant)
     session = require_session(uow, tenant, key)
     audit.append(uow, at_ns, entry)
-    return delete_session(uow, require_map(uow, tenant, key.map_id), session, at_ns)
+    return mark_session(uow, require_map(uow, tenant, key.map_id), session, at_ns)
 
 
 def _view(uow: UnitOfWork, record: SessionRecord) -> SessionView:

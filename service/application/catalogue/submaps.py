@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Protocol
@@ -18,6 +17,7 @@ from revisit.service.application.catalogue.downloads import (
     RENDERING_BYTES,
     Download,
     DownloadKind,
+    Rendering,
     Room,
     any_room,
     extension_of,
@@ -31,7 +31,14 @@ from revisit.service.application.contract.identity import SessionKey, SubmapKey,
 from revisit.service.application.contract.map_frames import MapFrames, submap_in_map
 from revisit.service.application.contract.policy import Policy
 from revisit.service.application.contract.records import SubmapRecord
-from revisit.service.application.contract.storage import Storage, require_map, require_session, require_submap
+from revisit.service.application.contract.states import SubmapState
+from revisit.service.application.contract.storage import (
+    Storage,
+    require_descriptor,
+    require_map,
+    require_session,
+    require_submap,
+)
 from revisit.service.application.contract.transactions import UnitOfWork
 from revisit.service.application.contract.views import SubmapView, submap_view
 from revisit.service.application.ingest.submap_source import SubmapSource, submap_source
@@ -55,11 +62,12 @@ class Submaps:
         lists: Lists,
         admission: Admission,
         collector: BlobCollector,
+        rendering: Rendering,
         clock: Clock,
         policy: Policy,
         meshes: Meshes,
     ) -> None:
-        """`collector` deletes the blobs of what was deleted."""
+        """`collector` deletes the blobs of what was deleted; files are made by `rendering`."""
         self._storage = storage
         self._lists = lists
         self._admission = admission
@@ -67,14 +75,14 @@ class Submaps:
         self._clock = clock
         self._policy = policy
         self._meshes = meshes
-        self._rendering = asyncio.Lock()
+        self._rendering = rendering
 
     async def get(self, tenant: TenantId, key: SubmapKey, *, full: bool = False) -> SubmapView:
-        """The submap, with its descriptor where `full`. Raises NotFound."""
+        """The submap, with its descriptor where `full`. Raises NotFound; DataLoss where that is damaged."""
         record, view = await self._storage.read(partial(_seen, tenant=tenant, key=key))
-        if not full or record.descriptor is None:
+        if not full or record.state != SubmapState.DESCRIBED:
             return view
-        return replace(view, descriptor=np.frombuffer(record.descriptor, dtype="<f4").astype(np.float32))
+        return replace(view, descriptor=np.frombuffer(require_descriptor(record), dtype="<f4").astype(np.float32))
 
     async def list(self, tenant: TenantId, session: SessionKey, page: PageRequest) -> Page[SubmapView]:
         """The submaps of a session in their order. Raises NotFound for the session."""
@@ -100,8 +108,8 @@ class Submaps:
         """The submap as a file. Formats: mesh ply or glb; points pcd, ply or npy; neural and descriptor have their own.
 
         Points are put together when `room` has room for them; a mesh is made by a worker, which is waited for. Raises
-        NotFound; NotReady where it is not described yet; UnsupportedEncoding for another format; DataLoss; for a mesh
-        also NoAnswer, WorkersBusy, RateLimited, StorageFull.
+        NotFound; NotReady where it is not described yet; UnsupportedEncoding for another format; DataLoss; RateLimited;
+        for a mesh also NoAnswer, WorkersBusy, StorageFull.
         """
         record, source = await self._storage.read(partial(self._with_source, tenant=tenant, key=key))
         extension = extension_of(kind, file_format)
@@ -109,10 +117,11 @@ class Submaps:
             require_neural_map(record)
             return named(await self._meshes.file(tenant, key, extension, room), record, kind, extension)
         await room(RENDERING_BYTES)
-        # One at a time: to make the largest takes several times its size for a moment.
-        async with self._rendering:
-            data = await asyncio.to_thread(stored_file, self._storage.blobs, record, source, kind, extension)
-        return named(data, record, kind, extension)
+
+        def make() -> Download:
+            return named(stored_file(self._storage.blobs, record, source, kind, extension), record, kind, extension)
+
+        return await self._rendering.of(tenant, make)
 
     def _with_source(self, uow: UnitOfWork, tenant: TenantId, key: SubmapKey) -> tuple[SubmapRecord, SubmapSource]:
         record = require_submap(uow, tenant, key)

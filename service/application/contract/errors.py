@@ -75,6 +75,12 @@ class WorkersBusy(Unavailable):
     code = ErrorCode.WORKERS_BUSY
 
 
+class StillDeleting(Unavailable):
+    """What had this id is being deleted, portion by portion: the id is free again soon. Try again with the same id."""
+
+    code = ErrorCode.WORKERS_BUSY
+
+
 class RateLimited(Unavailable):
     """More comes from this client, or for its tenant, than its quota: try again later with the same id."""
 

@@ -14,7 +14,10 @@ from revisit.service.application.contract.identity import TenantId
 
 @dataclass(frozen=True)
 class IndexChange:
-    """A submap entered (`vector` given) or left a map's index. `seq` grows in the order of commits."""
+    """A submap entered (`vector` given) or left a map's index. `seq` grows in the order of commits.
+
+    `whole_session`: all submaps of the session left that had come before, and no single one is meant.
+    """
 
     seq: int
     submap_number: int
@@ -22,6 +25,12 @@ class IndexChange:
     ordinal: int
     position_m: tuple[float, float, float]
     vector: bytes | None
+    whole_session: bool = False
+
+    @classmethod
+    def session_removed(cls, seq: int, session_number: int) -> IndexChange:
+        """The submaps of a session left."""
+        return cls(seq, 0, session_number, 0, (0.0, 0.0, 0.0), None, whole_session=True)
 
 
 class ChangeLog(Protocol):
@@ -33,6 +42,10 @@ class ChangeLog(Protocol):
 
     def record_removed(self, tenant: TenantId, map_number: int, submap_numbers: Collection[int]) -> None:
         """The submaps are gone; a change for each."""
+        ...
+
+    def record_session_removed(self, tenant: TenantId, map_number: int, session_number: int) -> None:
+        """All submaps of a session are gone, and none will come: one change."""
         ...
 
     def since(self, tenant: TenantId, map_number: int, seq: int, limit: int | None = None) -> list[IndexChange]:

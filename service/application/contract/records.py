@@ -45,6 +45,20 @@ class MapRecord:
 
 
 @dataclass(frozen=True)
+class DeletionRecord:
+    """A session of a map, or with "" for `session_id` the map, that is being deleted with all that is in it.
+
+    While it is there, no other row of them is seen (`UnitOfWork.everything` excepted), and their ids are taken.
+    """
+
+    tenant: TenantId
+    map_id: str
+    session_id: str
+    created_at_ns: int
+    number: int = 0
+
+
+@dataclass(frozen=True)
 class RobotRecord:
     """A robot."""
 

@@ -62,7 +62,23 @@ class RowWriter(Protocol[R]):
         ...
 
     def delete(self, tenant: TenantId, **equals: str | int | None) -> int:
-        """Delete what `find` would give; how many."""
+        """Delete what `find` would give in `UnitOfWork.everything`; how many."""
+        ...
+
+
+class RowEraser(Protocol[R]):
+    """Deletes many records of one kind, a portion at a time."""
+
+    def some(self, tenant: TenantId, limit: int, **equals: str | int | None) -> list[R]:
+        """At most `limit` of what `find` would give, in any order: however many there are, it takes no longer."""
+        ...
+
+    def named(self, tenant: TenantId, field: str, values: Collection[str]) -> set[str]:
+        """Those of these values that `field` has in a record that is seen."""
+        ...
+
+    def delete_some(self, tenant: TenantId, limit: int, field: str, values: Sequence[str | int]) -> int:
+        """Delete at most `limit` of the records, seen or not, whose `field` has one of `values`; how many."""
         ...
 
 
@@ -78,7 +94,7 @@ class RowsOfAllTenants(Protocol[R]):
         ...
 
 
-class Repository(RowReader[R], RowWriter[R], RowsOfAllTenants[R], Protocol[R]):
+class Repository(RowReader[R], RowWriter[R], RowEraser[R], RowsOfAllTenants[R], Protocol[R]):
     """Records of one kind. The tenant is part of every key."""
 
 

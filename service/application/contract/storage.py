@@ -9,11 +9,18 @@ from contextvars import copy_context
 from dataclasses import dataclass
 from typing import TypeVar
 
+from revisit.core.errors import DataLoss
 from revisit.service.application.contract.blobs import BlobStore
-from revisit.service.application.contract.errors import AlreadyExists, NotFound, SessionFinished
+from revisit.service.application.contract.errors import (
+    AlreadyExists,
+    NotFound,
+    NotReady,
+    SessionFinished,
+    StillDeleting,
+)
 from revisit.service.application.contract.identity import SessionKey, SubmapKey, TenantId
 from revisit.service.application.contract.records import JobRecord, MapRecord, RobotRecord, SessionRecord, SubmapRecord
-from revisit.service.application.contract.states import SessionState
+from revisit.service.application.contract.states import SessionState, SubmapState
 from revisit.service.application.contract.transactions import Transactions, UnitOfWork
 
 T = TypeVar("T")
@@ -78,6 +85,13 @@ def require_session(uow: UnitOfWork, tenant: TenantId, key: SessionKey) -> Sessi
     return record
 
 
+def require_deleted(uow: UnitOfWork, tenant: TenantId, map_id: str, session_id: str = "") -> None:
+    """Raises StillDeleting while rows are there of a map, or of a session of it, that was deleted."""
+    if uow.deletions.get(tenant, map_id, session_id) is not None:
+        name = SessionKey(map_id, session_id).name if session_id else f"maps/{map_id}"
+        raise StillDeleting(f"what was {name} is being deleted; its id is free again soon"[:300])
+
+
 def require_active(session: SessionRecord) -> None:
     """Raises SessionFinished unless the session takes data."""
     if session.state != SessionState.ACTIVE:
@@ -90,6 +104,16 @@ def require_submap(uow: UnitOfWork, tenant: TenantId, key: SubmapKey) -> SubmapR
     if record is None:
         raise NotFound(f"there is no submap {key.name!r}"[:300])
     return record
+
+
+def require_descriptor(record: SubmapRecord) -> bytes:
+    """The descriptor of a submap. Raises NotReady before it is described; DataLoss where it is damaged."""
+    if record.descriptor is None:
+        if record.state == SubmapState.DESCRIBED:
+            name = SubmapKey(record.map_id, record.session_id, record.submap_id).name
+            raise DataLoss(f"the descriptor of {name} is damaged; delete the submap and post it again"[:300])
+        raise NotReady
+    return record.descriptor
 
 
 def require_job(uow: UnitOfWork, tenant: TenantId, operation_id: str) -> JobRecord:

@@ -11,6 +11,7 @@ from revisit.service.application.contract.events import EventLog
 from revisit.service.application.contract.index import ChangeLog
 from revisit.service.application.contract.job_queue import JobQueue, WorkerLog
 from revisit.service.application.contract.records import (
+    DeletionRecord,
     EarlyCorrectionRecord,
     LoopEventRecord,
     MapFileRecord,
@@ -88,6 +89,16 @@ class UnitOfWork(Protocol):
     @property
     def early_corrections(self) -> Repository[EarlyCorrectionRecord]:
         """Corrections ahead of the next version by (map_id, session_id)."""
+        ...
+
+    @property
+    def deletions(self) -> Repository[DeletionRecord]:
+        """What is being deleted by (map_id, session_id): maps and sessions that nobody sees any more."""
+        ...
+
+    @property
+    def everything(self) -> UnitOfWork:
+        """The same transaction, which also sees the rows of what is being deleted."""
         ...
 
     @property

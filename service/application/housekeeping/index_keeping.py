@@ -148,12 +148,16 @@ class IndexKeeper:
             self._last_submap[number] = window[-1].number
             of_window &= held <= window[-1].number
         held = held[of_window]
-        live = {submap.number for submap in window}
-        suspects = (live ^ set(held.tolist())).union(index.differing(number, [_place(submap) for submap in window]))
+        # One whose descriptor is damaged is in no index.
+        sound = [submap for submap in window if submap.descriptor is not None]
+        live = {submap.number for submap in sound}
+        suspects = (live ^ set(held.tolist())).union(index.differing(number, [_place(submap) for submap in sound]))
         if not suspects:
             return 0, len(window)
         # What has changed since the index was looked at differs rightly.
         newer = read_here(lambda uow: uow.changes.since(tenant, number, seq))
+        if any(change.whole_session for change in newer):
+            return 0, len(window)
         drift = suspects.difference(change.submap_number for change in newer)
         if drift:
             self._mend(record, len(drift))

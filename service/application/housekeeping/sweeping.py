@@ -11,7 +11,7 @@ from revisit.service.application.catalogue.blob_references import (
     BLOBS_PER_TURN,
     Blob,
     BlobCollector,
-    is_referenced,
+    unreferenced,
 )
 from revisit.service.application.contract.blobs import StoredBlob
 from revisit.service.application.contract.identity import TenantId
@@ -37,7 +37,7 @@ async def sweep(storage: Storage, min_age_s: float = MIN_AGE_S) -> int:
 
 async def _sweep_turn(storage: Storage, tenant: TenantId, blobs: list[StoredBlob]) -> int:
     addresses: list[Blob] = [(blob.kind, blob.sha256) for blob in blobs]
-    orphans = await storage.read(lambda uow: [blob for blob in addresses if not is_referenced(uow, tenant, *blob)])
+    orphans = await storage.read(lambda uow: unreferenced(uow, tenant, addresses))
     # Looks again, alone in a write transaction: a row may name one of them by now.
     await BlobCollector(storage).collect(tenant, orphans)
     return len(orphans)

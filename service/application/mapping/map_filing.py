@@ -23,8 +23,8 @@ from revisit.service.application.contract.job_queue import Lease
 from revisit.service.application.contract.policy import Policy
 from revisit.service.application.contract.records import MapFileRecord, SubmapRecord
 from revisit.service.application.contract.session_poses import PackedSubmaps
-from revisit.service.application.contract.states import MapFileState
-from revisit.service.application.contract.storage import require_map
+from revisit.service.application.contract.states import MapFileState, SubmapState
+from revisit.service.application.contract.storage import require_descriptor, require_map
 from revisit.service.application.contract.transactions import Transactions, UnitOfWork
 from revisit.service.application.contract.views import submap_key
 from revisit.service.application.mapping.map_layout import LayoutRecorder, MapLayout
@@ -127,7 +127,7 @@ class MapFiling:
 
 
 def read_filing(uow: UnitOfWork, policy: Policy, tenant: TenantId, map_id: str, version: int) -> FilingPlan:
-    """What the file of a version holds. Raises NotFound; NotReady where no submap is described."""
+    """What the file of a version holds. Raises NotFound; NotReady without described submaps; DataLoss."""
     record, seen = require_map(uow, tenant, map_id), version_seen(uow, tenant, map_id, version)
     rows = sorted(uow.session_poses.find(tenant, map_id=map_id, version=version), key=lambda row: row.session_number)
     filed: list[FiledSubmap] = []
@@ -138,9 +138,9 @@ def read_filing(uow: UnitOfWork, policy: Policy, tenant: TenantId, map_id: str, 
         known = submaps_numbered(uow, tenant, packed.numbers.tolist())
         for number, T_map_submap in zip(packed.numbers.tolist(), packed.T_map_submap, strict=True):
             one = known.get(number)
-            if one is not None and one.descriptor is not None and one.neural_map_sha256 is not None:
+            if one is not None and one.state == SubmapState.DESCRIBED and one.neural_map_sha256 is not None:
                 filed.append(_filed(one, row.frame, T_map_submap))
-                descriptors.append(one.descriptor)
+                descriptors.append(require_descriptor(one))
                 model = model or one.model_version or ""
     if not filed:
         raise NotReady(f"no submap of version {version} of map {map_id!r} is described"[:200])

@@ -22,6 +22,7 @@ from revisit.service.application.contract.map_optimiser import OptimisedMap, Opt
 from revisit.service.application.contract.policy import Policy
 from revisit.service.application.contract.records import LoopRecord, MapMergeRecord, MapRecord, SessionRecord
 from revisit.service.application.contract.states import LoopEventKind, LoopState, MergeVerdict, SessionState
+from revisit.service.application.contract.storage import require_deleted
 from revisit.service.application.contract.transactions import UnitOfWork
 from revisit.service.application.mapping.graph_reading import MapTask, with_evidence
 from revisit.service.application.mapping.loop_events import Change, add_loop
@@ -103,8 +104,10 @@ class MergeCommit:
         return copies
 
     def _session(self, uow: UnitOfWork, target: MapRecord, session: SessionRecord) -> SessionRecord:
+        require_deleted(uow, target.tenant, target.map_id, session.session_id)
         taken = uow.sessions.get(target.tenant, target.map_id, session.session_id) is not None
         name = f"{session.map_id}.{session.session_id}" if taken else session.session_id
+        require_deleted(uow, target.tenant, target.map_id, name)
         if uow.sessions.get(target.tenant, target.map_id, validated_id(name, "session_id")) is not None:
             raise AlreadyExists(f"map {target.map_id} has a session {name} already")
         finished = self.now_ns if session.finished_at_ns is None else session.finished_at_ns

@@ -18,6 +18,7 @@ from revisit.service.application.contract.policy import Policy
 from revisit.service.application.contract.records import LoopRecord, MapRecord, SessionRecord, SubmapRecord
 from revisit.service.application.contract.session_poses import PackedSubmaps
 from revisit.service.application.contract.states import SubmapState
+from revisit.service.application.contract.storage import require_descriptor
 from revisit.service.application.contract.transactions import UnitOfWork
 from revisit.service.application.mapping.graph_reading import MapTask, read_task
 
@@ -82,8 +83,8 @@ class MapSide:
 
     @property
     def places(self) -> DescribedPlaces:
-        """The descriptors, for the search for candidates."""
-        rows = [np.frombuffer(one.descriptor or b"", dtype="<f4") for one in self.submaps]
+        """The descriptors, for the search for candidates. Raises DataLoss where one is damaged."""
+        rows = [np.frombuffer(require_descriptor(one), dtype="<f4") for one in self.submaps]
         numbers = np.array([one.session_number for one in self.submaps], dtype=np.int64)
         storeys = tuple(self.sessions[one.session_number].storey for one in self.submaps)
         return DescribedPlaces(np.stack(rows) if rows else np.zeros((0, 1), np.float32), numbers, storeys)

@@ -15,7 +15,8 @@ from revisit.service.application.access.callers import current_actor
 from revisit.service.application.capacity.admission import Admission
 from revisit.service.application.capacity.backlog import JobPosting, same_job
 from revisit.service.application.catalogue.blob_references import Blob, BlobCollector
-from revisit.service.application.catalogue.deletion import delete_session
+from revisit.service.application.catalogue.deletion import mark_session
+from revisit.service.application.catalogue.erasure import Erasure
 from revisit.service.application.catalogue.paging import Lists, Page, PageRequest
 from revisit.service.application.contract import limits
 from revisit.service.application.contract.clock import Clock
@@ -81,14 +82,16 @@ class MapMerges:
         admission: Admission,
         jobs: JobPosting,
         collector: BlobCollector,
+        erasure: Erasure,
         clock: Clock,
     ) -> None:
-        """Jobs are posted through `jobs`; `collector` deletes the blobs that nothing names after a merge is undone."""
+        """Jobs are posted through `jobs`; the copies of a merge that is undone go through `collector` and `erasure`."""
         self._storage = storage
         self._lists = lists
         self._admission = admission
         self._jobs = jobs
         self._collector = collector
+        self._erasure = erasure
         self._clock = clock
 
     async def merge(self, tenant: TenantId, command: MergeMap) -> PostedOperation:
@@ -119,6 +122,7 @@ class MapMerges:
         work = partial(self._revert, map_id=map_id, merge_id=merge_id, entry=entry)
         reverted, doomed = await self._storage.write(work)
         await self._collector.collect(tenant, doomed)
+        await self._erasure.soon(tenant, map_id, *reverted.sessions)
         return reverted
 
     def _post(self, uow: UnitOfWork, tenant: TenantId, command: MergeMap, payload: dict[str, Any]) -> PostedOperation:
@@ -159,7 +163,7 @@ class MapMerges:
         for session_id in merge.sessions:
             session = uow.sessions.get(merge.tenant, merge.map_id, session_id)
             if session is not None:
-                doomed |= delete_session(uow, record, session, now_ns)
+                doomed |= mark_session(uow, record, session, now_ns)
         return doomed
 
 

@@ -16,7 +16,14 @@ from numpy.typing import NDArray
 from revisit.core.errors import BadField
 from revisit.service.application.capacity.admission import Admission
 from revisit.service.application.capacity.backlog import JobPosting, same_job
-from revisit.service.application.catalogue.downloads import RENDERING_BYTES, Download, DownloadKind, Room, any_room
+from revisit.service.application.catalogue.downloads import (
+    RENDERING_BYTES,
+    Download,
+    DownloadKind,
+    Rendering,
+    Room,
+    any_room,
+)
 from revisit.service.application.catalogue.paging import Lists, Page, PageRequest
 from revisit.service.application.contract import limits
 from revisit.service.application.contract.blobs import TILE_BLOB
@@ -93,16 +100,17 @@ class MapTiles:
         admission: Admission,
         jobs: JobPosting,
         operations: Operations,
+        rendering: Rendering,
         policy: Policy,
     ) -> None:
-        """Tiles are made by jobs posted through `jobs`; `operations` waits for them."""
+        """Tiles are made by jobs posted through `jobs`; `operations` waits for them; `rendering` makes their files."""
         self._storage = storage
         self._lists = lists
         self._admission = admission
         self._jobs = jobs
         self._operations = operations
         self._policy = policy
-        self._rendering = asyncio.Lock()
+        self._rendering = rendering
 
     async def list(self, tenant: TenantId, map_id: str, version: int, page: PageRequest) -> Page[MapTileView]:
         """The tiles that submaps may reach into, by frame, column and row. Raises NotFound."""
@@ -125,14 +133,13 @@ class MapTiles:
 
         It is read and rendered when `room` has room.
 
-        Raises NotFound, NoAnswer where no worker made it in time, UnsupportedEncoding, DataLoss, and what the method
-        raised.
+        Raises NotFound, NoAnswer where no worker made it in time, UnsupportedEncoding, DataLoss, RateLimited, and what
+        the method raised.
         """
         sha256 = await self._made(tenant, key)
         await room(RENDERING_BYTES)
         blob = await asyncio.to_thread(self._storage.blobs.get, tenant, TILE_BLOB, sha256)
-        async with self._rendering:
-            return await asyncio.to_thread(render_tile, blob, key, kind, file_format)
+        return await self._rendering.of(tenant, partial(render_tile, blob, key, kind, file_format))
 
     async def distances(self, tenant: TenantId, question: MapQuestion) -> MapDistances:
         """Signed distances of points to the surface. Raises BadField, NotFound, NoAnswer, what the method raised."""

@@ -10,8 +10,12 @@ from revisit.service.application.contract import limits
 
 Address = ipaddress.IPv4Address | ipaddress.IPv6Address
 
-# Networks that carry IPv4 addresses inside: Python calls them global, whatever is in them.
-_CARRIERS = tuple(map(ipaddress.ip_network, ("64:ff9b::/96", "64:ff9b:1::/48", "2002::/16", "2001::/32")))
+# The only part of IPv6 that is given out as addresses of the internet. Beyond it are forms that carry IPv4 addresses
+# (::/96, ::ffff:0:0:0/96, 64:ff9b::/96), the site-local fec0::/10, and what nobody has: Python calls most of it global.
+_GIVEN_OUT = ipaddress.IPv6Network("2000::/3")
+
+# Within it, networks that carry IPv4 addresses (6to4, Teredo), and one for examples.
+_NOT_PUBLIC = tuple(map(ipaddress.IPv6Network, ("2002::/16", "2001::/32", "3fff::/20")))
 
 
 def is_public(address: str) -> bool:
@@ -23,7 +27,7 @@ def is_public(address: str) -> bool:
     if isinstance(parsed, ipaddress.IPv6Address):
         if parsed.ipv4_mapped is not None:
             parsed = parsed.ipv4_mapped
-        elif any(parsed in carrier for carrier in _CARRIERS):
+        elif parsed not in _GIVEN_OUT or any(parsed in network for network in _NOT_PUBLIC):
             return False
     return parsed.is_global and not parsed.is_multicast
 

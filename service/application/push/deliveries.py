@@ -30,8 +30,11 @@ from revisit.service.application.push.events import EventView, events_of
 BATCH = 50
 """Events of one request at most."""
 
-AT_ONCE, OF_TENANT = 16, 4
+AT_ONCE, OF_TENANT = 64, 4
 """Requests under way: in all, and of one tenant, so that receivers of one that hang hold up nobody else."""
+
+KEPT_FREE = 32
+"""Places among them for tenants that have no request under way, so that slow receivers of some do not delay others."""
 
 PAUSE_S = (5.0, 3600.0)
 """After the first failure, doubled with each further one, up to the second."""
@@ -75,7 +78,7 @@ class Deliveries:
         of_tenant = Counter(tenant for tenant, _ in self.under_way)
         for webhook in due:
             key = (webhook.tenant, webhook.webhook_id)
-            if key in self.under_way or len(self.under_way) >= AT_ONCE or of_tenant[webhook.tenant] >= OF_TENANT:
+            if key in self.under_way or not _has_place(of_tenant[webhook.tenant], len(self.under_way)):
                 continue
             of_tenant[webhook.tenant] += 1
             task = asyncio.create_task(self._deliver(webhook), name=f"webhook {webhook.webhook_id}")
@@ -113,6 +116,11 @@ class Deliveries:
         if not attempt.arrived:
             told = {"webhook": webhook.webhook_id, "tenant": webhook.tenant, "failures": after.failures}
             log.warning("webhook_failed", **told, status=answered.status, reason=answered.error, state=after.state)
+
+
+def _has_place(of_tenant: int, in_all: int) -> bool:
+    """Whether a tenant with so many requests under way, of so many in all, may begin another."""
+    return in_all < (AT_ONCE - KEPT_FREE if of_tenant else AT_ONCE) and of_tenant < OF_TENANT
 
 
 def signature_of(secret: str, timestamp: str, body: bytes) -> str:

@@ -18,10 +18,9 @@ from revisit.core.geometry.se3 import Matrix4, pose_row
 from revisit.service.application.capacity.admission import Admission
 from revisit.service.application.contract import limits
 from revisit.service.application.contract.blobs import QUERY_CLOUD_BLOB
-from revisit.service.application.contract.errors import NotReady
 from revisit.service.application.contract.identity import SubmapKey, TenantId
 from revisit.service.application.contract.states import OperationKind
-from revisit.service.application.contract.storage import Storage, require_map, require_submap
+from revisit.service.application.contract.storage import Storage, require_descriptor, require_map, require_submap
 from revisit.service.application.contract.transactions import UnitOfWork
 from revisit.service.application.ingest.clouds import (
     QUERY_NONCE_BYTES,
@@ -189,12 +188,11 @@ def _payload(map_id: str, criteria: SearchCriteria, T_level_query: Matrix4 | Non
 
 
 def _asked_by(uow: UnitOfWork, tenant: TenantId, key: SubmapKey, criteria: SearchCriteria) -> Question:
-    """What a described submap asks. Raises NotFound, NotReady, BadField."""
+    """What a described submap asks. Raises NotFound, NotReady, DataLoss, BadField."""
     record = require_submap(uow, tenant, key)
-    if record.descriptor is None:
-        raise NotReady
+    vector = np.frombuffer(require_descriptor(record), dtype="<f4")
     where = vector_filter(uow, tenant, key.map_id, criteria, record)
-    return Question(require_map(uow, tenant, key.map_id), np.frombuffer(record.descriptor, dtype="<f4"), where)
+    return Question(require_map(uow, tenant, key.map_id), vector, where)
 
 
 def _asked_for(

@@ -15,7 +15,7 @@ from revisit.service.application.contract.loop_claims import rules_of, verdict_e
 from revisit.service.application.contract.policy import Policy
 from revisit.service.application.contract.records import JobRecord, LoopRecord, MapRecord, SubmapRecord
 from revisit.service.application.contract.states import LoopEventKind, LoopState
-from revisit.service.application.contract.storage import require_map
+from revisit.service.application.contract.storage import require_descriptor, require_map
 from revisit.service.application.contract.transactions import UnitOfWork
 from revisit.service.application.mapping.loop_events import Change, change_loop
 from revisit.service.application.mapping.optimisation import optimise_soon
@@ -98,5 +98,5 @@ def _proposed(uow: UnitOfWork, job: JobRecord) -> LoopRecord | None:
 
 
 def _similarity(query: SubmapRecord, match: SubmapRecord) -> float:
-    first, second = (np.frombuffer(one.descriptor or b"", dtype="<f4").astype(np.float64) for one in (query, match))
+    first, second = (np.frombuffer(require_descriptor(one), dtype="<f4").astype(np.float64) for one in (query, match))
     return float(first @ second)

@@ -14,6 +14,7 @@ from revisit.service.application.contract.events import ChangeOf, EventRecord
 from revisit.service.application.contract.identity import TenantId
 from revisit.service.application.contract.index import IndexChange
 from revisit.service.application.contract.records import (
+    DeletionRecord,
     JobRecord,
     LoopRecord,
     ScanRecord,
@@ -42,12 +43,38 @@ class Rows:
         return Rows(dict(self.by_number), self.last, dict(self.last_of))
 
 
+class Doomed:
+    """What is being deleted, for those who shall not see it."""
+
+    def __init__(self, deletions: Rows) -> None:
+        """`deletions` are the rows of `DeletionRecord`."""
+        self._deletions = deletions
+
+    def hides(self, row: Any) -> bool:
+        """Whether the map of a row, or a session that it names, is being deleted."""
+        named = {"", *(getattr(row, field, "") for field in SESSION_FIELDS)}
+        deletions: Collection[DeletionRecord] = self._deletions.by_number.values()
+        return any(
+            (one.tenant, one.map_id) == (row.tenant, row.map_id) and one.session_id in named for one in deletions
+        )
+
+
+SESSION_FIELDS = ("session_id", "query_session_id", "match_session_id")
+"""The fields of records that name sessions with which a row goes."""
+
+
 class MemoryRepository(Generic[R]):
     """`Repository` over `Rows`."""
 
-    def __init__(self, rows: Rows, key: tuple[str, ...], on_change: ChangeOf[R] | None = None) -> None:
-        """`key` names the fields that, with the tenant, identify a record; `on_change` hears each add and replace."""
+    def __init__(
+        self, rows: Rows, key: tuple[str, ...], on_change: ChangeOf[R] | None = None, doomed: Doomed | None = None
+    ) -> None:
+        """`key` names the fields that, with the tenant, identify a record; `on_change` hears each add and replace.
+
+        Rows that `doomed` hides are not seen.
+        """
         self._rows = rows
+        self._doomed = doomed
         self._on_change = on_change
         self._key = ("tenant", *key)
 
@@ -69,7 +96,8 @@ class MemoryRepository(Generic[R]):
 
     def get(self, tenant: TenantId, *key: str | int) -> R | None:
         """See `Repository`."""
-        return next((row for row in self._rows.by_number.values() if self._key_of(row) == (tenant, *key)), None)
+        rows = (row for row in self._rows.by_number.values() if self._key_of(row) == (tenant, *key))
+        return next((row for row in rows if self._is_seen(row)), None)
 
     def find(self, tenant: TenantId, *, after: int = 0, limit: int | None = None, **equals: Scalar) -> list[R]:
         """See `Repository`."""
@@ -89,12 +117,13 @@ class MemoryRepository(Generic[R]):
 
     def count_of_all_tenants(self, **equals: Scalar) -> int:
         """See `Repository`."""
-        rows = self._rows.by_number.values()
+        rows = (row for row in self._rows.by_number.values() if self._is_seen(row))
         return sum(all(getattr(row, name) == value for name, value in equals.items()) for row in rows)
 
     def of_all_tenants(self, *, after: int = 0, limit: int | None = None) -> list[R]:
         """See `Repository`."""
-        return [row for number, row in sorted(self._rows.by_number.items()) if number > after][:limit]
+        rows = (row for number, row in sorted(self._rows.by_number.items()) if number > after)
+        return [row for row in rows if self._is_seen(row)][:limit]
 
     def replace(self, record: R) -> None:
         """See `Repository`."""
@@ -117,15 +146,37 @@ class MemoryRepository(Generic[R]):
 
     def delete(self, tenant: TenantId, **equals: Scalar) -> int:
         """See `Repository`."""
-        doomed = [row.number for row in self._matching(tenant, equals)]
-        for number in doomed:
+        return self._deleted([row.number for row in self._having(tenant, equals)])
+
+    def some(self, tenant: TenantId, limit: int, **equals: Scalar) -> list[R]:
+        """See `Repository`."""
+        return self._matching(tenant, equals)[:limit]
+
+    def named(self, tenant: TenantId, field: str, values: Collection[str]) -> set[str]:
+        """See `Repository`."""
+        return self.distinct(tenant, field).intersection(values)
+
+    def delete_some(self, tenant: TenantId, limit: int, field: str, values: Sequence[str | int]) -> int:
+        """See `Repository`."""
+        some = [row.number for row in self._having(tenant, {}) if getattr(row, field) in values]
+        return self._deleted(some[:limit])
+
+    def _deleted(self, numbers: Sequence[int]) -> int:
+        for number in numbers:
             del self._rows.by_number[number]
-        return len(doomed)
+        return len(numbers)
 
     def _matching(self, tenant: TenantId, equals: dict[str, Scalar]) -> list[Any]:
+        return [row for row in self._having(tenant, equals) if self._is_seen(row)]
+
+    def _having(self, tenant: TenantId, equals: dict[str, Scalar]) -> list[Any]:
+        """Rows that have what is asked, seen or not."""
         wanted = {"tenant": tenant, **equals}
         rows = [row for _, row in sorted(self._rows.by_number.items())]
         return [row for row in rows if all(getattr(row, name) == value for name, value in wanted.items())]
+
+    def _is_seen(self, row: Any) -> bool:
+        return self._doomed is None or not self._doomed.hides(row)
 
     def _key_of(self, record: Any) -> tuple[Any, ...]:
         return tuple(getattr(record, name) for name in self._key)
@@ -266,10 +317,13 @@ def _due(job: JobRecord, now: Instant) -> bool:
 
 @dataclass(frozen=True)
 class _Change:
+    """`submap_number` is that of a session where `whole_session`."""
+
     tenant: str
     map_number: int
     submap_number: int
     described: bool
+    whole_session: bool = False
     number: int = 0
 
 
@@ -290,6 +344,10 @@ class MemoryChangeLog:
         for number in sorted(submap_numbers):
             self._append(_Change(tenant, map_number, number, described=False))
 
+    def record_session_removed(self, tenant: TenantId, map_number: int, session_number: int) -> None:
+        """See `ChangeLog`."""
+        self._append(_Change(tenant, map_number, session_number, described=False, whole_session=True))
+
     def since(self, tenant: TenantId, map_number: int, seq: int, limit: int | None = None) -> list[IndexChange]:
         """See `ChangeLog`."""
         changes = [change for _, change in sorted(self._changes.by_number.items())]
@@ -305,6 +363,8 @@ class MemoryChangeLog:
         return self._changes.last
 
     def _seen(self, change: _Change) -> IndexChange:
+        if change.whole_session:
+            return IndexChange.session_removed(change.number, change.submap_number)
         submap: SubmapRecord | None = self._submaps.by_number.get(change.submap_number)
         if submap is None:
             return IndexChange(change.number, change.submap_number, 0, 0, (0.0, 0.0, 0.0), None)

@@ -5,12 +5,14 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable
 from concurrent.futures import Future
-from typing import TypeVar
+from functools import cached_property
+from typing import Any, TypeVar
 
 from revisit.service.adapters.fair_turns import FairTurns
 from revisit.service.adapters.leased_jobs import LeasedJobs
-from revisit.service.application.contract.events import on_job_change, on_loop_change, on_version_change
+from revisit.service.application.contract.events import ChangeOf, on_job_change, on_loop_change, on_version_change
 from revisit.service.application.contract.records import (
+    DeletionRecord,
     EarlyCorrectionRecord,
     LoopEventRecord,
     MapFileRecord,
@@ -26,6 +28,7 @@ from revisit.service.application.contract.transactions import UnitOfWork
 from revisit.service.application.contract.webhooks import DeliveryRecord, WebhookRecord
 from tests.support.memory.access import MemoryAuditTrail, MemoryKeyRing
 from tests.support.memory.repositories import (
+    Doomed,
     MemoryChangeLog,
     MemoryEventLog,
     MemoryJobs,
@@ -38,11 +41,13 @@ from tests.support.memory.repositories import (
     Rows,
 )
 
+R = TypeVar("R")
 T = TypeVar("T")
 
 _TABLES = (
     *("maps", "robots", "sessions", "scans", "submaps", "loops"),
     *("loop_events", "map_versions", "session_poses", "early_corrections", "map_merges", "map_tiles", "map_files"),
+    "deletions",
     *("jobs", "turns", "changes", "events", "webhooks", "webhook_deliveries", "workers", "keys", "audit"),
 )
 
@@ -50,43 +55,49 @@ _TABLES = (
 class MemoryUnitOfWork:
     """`UnitOfWork` over a copy of every table."""
 
-    def __init__(self, tables: dict[str, Rows], lease_ms: int) -> None:
-        """Changes `tables` in place."""
-        self.maps: MemoryRepository[MapRecord] = MemoryRepository(tables["maps"], ("map_id",))
-        self.robots: MemoryRepository[RobotRecord] = MemoryRepository(tables["robots"], ("robot_id",))
-        self.sessions: MemoryRepository[SessionRecord] = MemoryRepository(tables["sessions"], ("map_id", "session_id"))
-        self.scans = MemoryScans(tables["scans"], ("map_id", "session_id", "seq"))
-        self.submaps = MemorySubmaps(tables["submaps"], ("map_id", "session_id", "submap_id"))
+    def __init__(self, tables: dict[str, Rows], lease_ms: int, *, sees_all: bool = False) -> None:
+        """Changes `tables` in place; `sees_all`: also rows of what is being deleted."""
+        self._tables, self._lease_ms = tables, lease_ms
+        doomed = None if sees_all else Doomed(tables["deletions"])
+
+        def of_map(name: str, *key: str, told: ChangeOf[R] | None = None) -> MemoryRepository[Any]:
+            return MemoryRepository(tables[name], ("map_id", *key), told, doomed)
+
         self.events = MemoryEventLog(tables["events"])
+        self.maps: MemoryRepository[MapRecord] = of_map("maps")
+        self.robots: MemoryRepository[RobotRecord] = MemoryRepository(tables["robots"], ("robot_id",))
+        self.sessions: MemoryRepository[SessionRecord] = of_map("sessions", "session_id")
+        self.scans = MemoryScans(tables["scans"], ("map_id", "session_id", "seq"), None, doomed)
+        self.submaps = MemorySubmaps(tables["submaps"], ("map_id", "session_id", "submap_id"), None, doomed)
+        self.loops = MemoryLoops(tables["loops"], ("map_id", "loop_id"), on_loop_change(self.events), doomed)
+        self.loop_events: MemoryRepository[LoopEventRecord] = MemoryRepository(
+            tables["loop_events"], ("number",), None, doomed
+        )
+        told = on_version_change(self.events)
+        self.map_versions: MemoryRepository[MapVersionRecord] = of_map("map_versions", "version", told=told)
+        self.session_poses: MemoryRepository[SessionPosesRecord] = of_map("session_poses", "version", "session_id")
+        self.early_corrections: MemoryRepository[EarlyCorrectionRecord] = of_map("early_corrections", "session_id")
+        self.map_merges: MemoryRepository[MapMergeRecord] = of_map("map_merges", "merge_id")
+        self.map_tiles: MemoryRepository[MapTileRecord] = of_map("map_tiles", "version", "tile_id")
+        self.map_files: MemoryRepository[MapFileRecord] = of_map("map_files", "version")
+        self.deletions: MemoryRepository[DeletionRecord] = MemoryRepository(
+            tables["deletions"], ("map_id", "session_id")
+        )
+        self.jobs = MemoryJobs(tables["jobs"], ("operation_id",), on_job_change(self.events))
         self.webhooks: MemoryRepository[WebhookRecord] = MemoryRepository(tables["webhooks"], ("webhook_id",))
         self.webhook_deliveries: MemoryRepository[DeliveryRecord] = MemoryRepository(
             tables["webhook_deliveries"], ("number",)
         )
-        told = on_loop_change(self.events)
-        self.loops = MemoryLoops(tables["loops"], ("map_id", "loop_id"), told)
-        self.jobs = MemoryJobs(tables["jobs"], ("operation_id",), on_job_change(self.events))
-        self.loop_events: MemoryRepository[LoopEventRecord] = MemoryRepository(tables["loop_events"], ("number",))
-        self.map_versions: MemoryRepository[MapVersionRecord] = MemoryRepository(
-            tables["map_versions"], ("map_id", "version"), on_version_change(self.events)
-        )
-        self.session_poses: MemoryRepository[SessionPosesRecord] = MemoryRepository(
-            tables["session_poses"], ("map_id", "version", "session_id")
-        )
-        self.early_corrections: MemoryRepository[EarlyCorrectionRecord] = MemoryRepository(
-            tables["early_corrections"], ("map_id", "session_id")
-        )
-        self.map_merges: MemoryRepository[MapMergeRecord] = MemoryRepository(
-            tables["map_merges"], ("map_id", "merge_id")
-        )
-        self.map_tiles: MemoryRepository[MapTileRecord] = MemoryRepository(
-            tables["map_tiles"], ("map_id", "version", "tile_id")
-        )
-        self.map_files: MemoryRepository[MapFileRecord] = MemoryRepository(tables["map_files"], ("map_id", "version"))
         self.queue = LeasedJobs(self.jobs, FairTurns(MemoryTenantTurns(tables["turns"], self.jobs)), lease_ms)
         self.changes = MemoryChangeLog(tables["changes"], tables["submaps"])
         self.workers = MemoryWorkerLog(tables["workers"])
         self.keys = MemoryKeyRing(tables["keys"].by_number)
         self.audit = MemoryAuditTrail(tables["audit"].by_number)
+
+    @cached_property
+    def everything(self) -> MemoryUnitOfWork:
+        """See `UnitOfWork`."""
+        return MemoryUnitOfWork(self._tables, self._lease_ms, sees_all=True)
 
 
 class MemoryTransactions:

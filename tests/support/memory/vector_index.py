@@ -33,6 +33,10 @@ class MemoryVectorIndex:
             if change.seq <= self.seq(map_number):
                 continue
             places.pop(change.submap_number, None)
+            if change.whole_session:
+                of_it = [number for number, (held, _) in places.items() if held.session_number == change.session_number]
+                for number in of_it:
+                    del places[number]
             if change.vector is not None:
                 places[change.submap_number] = (change, np.frombuffer(change.vector, dtype="<f4"))
             self._seq[map_number] = change.seq

@@ -87,6 +87,42 @@ def test_what_is_no_map_is_refused(wrong):
         MapFile(io.BytesIO(wrong))
 
 
+def forged(file: Path, member: str, old: bytes, new: bytes) -> io.BytesIO:
+    """The file with another word in a member of it, and sizes and hashes that fit, as anybody can write one."""
+    with zipfile.ZipFile(file) as archive:
+        members = {name: archive.read(name) for name in archive.namelist()}
+    data = members[member].replace(old, new)
+    assert data != members[member]
+    entries = [
+        f'"bytes":{len(one)},"sha256":"{hashlib.sha256(one).hexdigest()}"'.encode() for one in (members[member], data)
+    ]
+    members[member] = data
+    members["manifest.json"] = members["manifest.json"].replace(*entries)
+    out = io.BytesIO()
+    with zipfile.ZipFile(out, "w") as copy:
+        for name, content in members.items():
+            copy.writestr(name, content)
+    return out
+
+
+@pytest.mark.parametrize(
+    "size", [b"Infinity", b"-Infinity", b"NaN", b"1e999", b"null", b"true", b"-1", b'"7"', b"[]", b"7.5"]
+)
+def test_a_size_that_is_no_whole_number_is_refused_when_the_file_is_opened(tmp_path, size):
+    filed, vector, neural = a_submap(0)
+    write_map_file(tmp_path / "a.zip", DESCRIPTION, [(filed, vector, neural)])
+    known = f'"bytes":{len(neural)},'.encode()
+    with pytest.raises(MalformedBody):
+        MapFile(forged(tmp_path / "a.zip", "manifest.json", known, b'"bytes":' + size + b","))
+
+
+@pytest.mark.parametrize("number", [b"Infinity", b"1e999", b"NaN", b"null", b"[]"])
+def test_a_submap_whose_place_in_the_drive_is_no_number_is_refused(tmp_path, number):
+    write_map_file(tmp_path / "a.zip", DESCRIPTION, [a_submap(0)])
+    with pytest.raises(MalformedBody):
+        MapFile(forged(tmp_path / "a.zip", "submaps.json", b'"ordinal":0,', b'"ordinal":' + number + b","))
+
+
 def test_a_flipped_bit_is_found_and_a_cut_file_is_refused(tmp_path):
     write_map_file(tmp_path / "a.zip", DESCRIPTION, [a_submap(n) for n in range(3)])
     whole = (tmp_path / "a.zip").read_bytes()

@@ -1,0 +1,165 @@
+"""A flipped bit anywhere in the file of the database is noticed and named, or changes nothing that anybody reads.
+
+REVISIT_TEST_FLIPS (1000) is the full size.
+"""
+
+from __future__ import annotations
+
+import os
+import random
+import sqlite3
+from collections import Counter
+from contextlib import closing
+from pathlib import Path
+
+import pytest
+
+from revisit.core.errors import DataLoss
+from revisit.core.index import FaissIndex
+from revisit.service.adapters.sqlite.backup import make_backup, restore_backup
+from revisit.service.adapters.sqlite.backup_key import own_key
+from revisit.service.adapters.sqlite.examination import examine, scrub
+from revisit.service.adapters.sqlite.migration import migrate
+from revisit.service.adapters.sqlite.row_checksums import damaged_rows
+from revisit.service.adapters.vector_index import PlaceVectorIndex
+from revisit.service.application.catalogue.paging import PageRequest
+from revisit.service.application.query.place_memory import PlaceMemory, SearchCriteria
+from tests.faults.drive import undisturbed
+from tests.support.figures import publish
+from tests.support.service_world import SESSION, TENANT, described, sqlite_world, submap
+from tests.support.stored_rows import run
+
+DATABASE = "revisit.db"
+FLIPS = int(os.environ.get("REVISIT_TEST_FLIPS", "1000"))
+
+
+@pytest.fixture(scope="module")
+def driven(tmp_path_factory) -> Path:
+    """The folder of a stopped service that has done everything once."""
+    folder = tmp_path_factory.mktemp("driven")
+    (folder / "home").mkdir()
+    undisturbed(folder / "home", folder / "log")
+    return folder / "home"
+
+
+def content(database: Path) -> dict:
+    """Every row and the schema, as any reader of the file sees them."""
+    with closing(sqlite3.connect(f"file:{database}?mode=ro&immutable=1", uri=True)) as connection:
+        schema = connection.execute("SELECT type, name, tbl_name, sql FROM sqlite_master").fetchall()
+        tables = [row[1] for row in schema if row[0] == "table"]
+        return {"schema": schema} | {
+            table: connection.execute(f"SELECT rowid, * FROM '{table}'").fetchall()  # own schema
+            for table in tables
+        }
+
+
+def complaints(home: Path) -> list[str]:
+    return [f"{finding.check}: {finding.detail}" for finding in examine(home, full=True) if finding.ok is False]
+
+
+def flipped(home: Path, flips: int, seed: int) -> Counter[str]:
+    """Flip single bits of the database, one at a time: what came of them."""
+    database, rng, outcomes = home / DATABASE, random.Random(seed), Counter[str]()
+    whole, before = database.read_bytes(), content(database)
+    assert complaints(home) == []
+    for _ in range(flips):
+        at, bit = rng.randrange(len(whole)), 1 << rng.randrange(8)
+        database.write_bytes(whole[:at] + bytes([whole[at] ^ bit]) + whole[at + 1 :])
+        try:
+            same = content(database) == before
+        except (sqlite3.Error, UnicodeError):
+            same = False
+        noticed = complaints(home)
+        outcomes["noticed" if noticed else "without effect" if same else f"silent: bit {bit} of byte {at}"] += 1
+    database.write_bytes(whole)
+    return outcomes
+
+
+def test_a_flipped_bit_of_the_database_is_noticed_or_without_effect(driven):
+    outcomes = flipped(driven, 60, seed=1)
+    assert not [outcome for outcome in outcomes if outcome.startswith("silent")]
+    assert outcomes["noticed"] > 10
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(3600)
+def test_any_flipped_bit_of_the_database_is_noticed_or_without_effect(driven):
+    outcomes = flipped(driven, FLIPS, seed=int(os.environ.get("REVISIT_TEST_SEED", "2")))
+    publish("flipped bits of the database", flips=FLIPS, **outcomes)
+    assert not [outcome for outcome in outcomes if outcome.startswith("silent")]
+
+
+@pytest.mark.parametrize(
+    ("change", "named"),
+    [
+        ("UPDATE submaps SET descriptor = zeroblob(length(descriptor)) WHERE number = 1", "submaps 1"),
+        ("UPDATE submaps SET stamp_ns = stamp_ns + 1 WHERE number = 1", "submaps 1"),
+        ("UPDATE sessions SET state = 'ACTIVF'", "sessions 1"),
+        ("UPDATE loop_closures SET score = score * 1.0000001 WHERE number = 1", "loop_closures 1"),
+        ("UPDATE maps SET checksum = checksum + 1", "maps 1"),
+        ("UPDATE maps SET checksum = NULL", "maps 1"),
+        ("UPDATE alembic_version SET version_num = '0018'", "the schema"),
+        ("UPDATE sqlite_sequence SET seq = 0 WHERE name = 'submaps'", "the counter of submaps"),
+        ("UPDATE sqlite_sequence SET name = 'tubmaps' WHERE name = 'submaps'", "the counter of submaps"),
+    ],
+)
+def test_what_was_changed_beside_the_service_is_named(tmp_path, driven, change, named):
+    database = tmp_path / DATABASE
+    database.write_bytes((driven / DATABASE).read_bytes())
+    run(database, change)
+    with closing(sqlite3.connect(database)) as connection:
+        assert named in list(damaged_rows(connection))
+
+
+async def test_every_way_to_look_names_a_damaged_row_and_a_backup_of_it_is_not_taken_for_whole(tmp_path):
+    home = tmp_path / "home"
+    world = sqlite_world(home)
+    await described(world, a=1)
+    world.context.transactions.close()
+    make_backup(home, tmp_path / "whole", "test")
+    run(home / DATABASE, "UPDATE submaps SET scan_count = scan_count + 1")
+    assert complaints(home) == ["rows: 1 are not what was written: submaps 1"]
+    assert scrub(home).rows == ("submaps 1",)
+    assert make_backup(home, tmp_path / "damaged", "test").lost == ("submaps 1",)
+    restore_backup(tmp_path / "whole", tmp_path / "again", own_key(home))
+    # A backup that was made of a whole store, of rows that are damaged: only with hash and signature made anew.
+    manifest = make_backup(home, tmp_path / "forged", "test")
+    assert manifest.lost == ("submaps 1",)
+
+
+async def test_a_submap_whose_descriptor_is_damaged_is_refused_by_itself_and_nobody_else(tmp_path, caplog):
+    world = sqlite_world(tmp_path)
+    await described(world, a=1, b=2, c=1)
+    run(
+        tmp_path / DATABASE,
+        "UPDATE submaps SET descriptor = CAST(substr(descriptor, 1, 8) || zeroblob(4) "
+        "|| substr(descriptor, 13) AS BLOB) "
+        "WHERE submap_id = 'a'",
+    )
+    index = PlaceVectorIndex(FaissIndex)
+    memory = PlaceMemory(world.context.transactions, index)
+    (record,) = world.context.transactions.read(lambda uow: uow.maps.find(TENANT)).result()
+    memory.catch_up(TENANT, record.number)
+    rows = world.context.transactions.read(lambda uow: uow.submaps.find(TENANT)).result()
+    sound = {row.submap_id: row.number for row in rows}
+    assert index.numbers(record.number)[1].tolist() == [sound["b"], sound["c"]]
+    with pytest.raises(DataLoss, match="submaps/a is damaged"):
+        await world.use_cases.searches.by_submap(TENANT, submap("a", 1).key, SearchCriteria())
+    with pytest.raises(DataLoss):
+        await world.use_cases.submaps.get(TENANT, submap("a", 1).key, full=True)
+    assert len((await world.use_cases.submaps.list(TENANT, SESSION, PageRequest())).items) == 3
+    world.context.transactions.close()
+
+
+def test_an_upgrade_gives_every_row_its_checksum(tmp_path, driven):
+    database = tmp_path / DATABASE
+    database.write_bytes((driven / DATABASE).read_bytes())
+    migrate(database, "0023")
+    with closing(sqlite3.connect(database)) as connection:
+        assert list(damaged_rows(connection)) == []
+    migrate(database)
+    with closing(sqlite3.connect(database)) as connection:
+        assert list(damaged_rows(connection)) == []
+    run(database, "UPDATE scans SET point_count = point_count + 1 WHERE number = 1")
+    with closing(sqlite3.connect(database)) as connection:
+        assert list(damaged_rows(connection)) == ["scans 1"]
