@@ -77,13 +77,13 @@ def rotate_key(
 @group.command("revoke")
 @needs("service")
 def revoke_key(key_id: KeyId, home: Home = None, json: Json = False) -> None:
-    """End a key at once; open streams end within 30 s."""
+    """End a key at once; open streams end within 3 s."""
     with use_cases_on(home) as use_cases:
         record = asyncio.run(use_cases.keys.revoke(key_id))
     if json:
         emit_json(_key_json(record))
     else:
-        say(f"Key {key_id} opens nothing any more; open streams end within 30 s.")
+        say(f"Key {key_id} opens nothing any more; open streams end within 3 s.")
 
 
 def _show_new(made: NewKey, as_json: bool) -> None:

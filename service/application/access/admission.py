@@ -34,6 +34,9 @@ MAX_CREDENTIAL_CHARACTERS = 8192
 STREAM_RECHECK_S = 1.0
 """How often the credential of an open stream is verified again."""
 
+STREAM_ENDS_WITHIN_S = 3.0
+"""What operators are told: an open stream ends so soon after its credential has lost its right. More than one look."""
+
 _log = structlog.get_logger(__name__)
 
 

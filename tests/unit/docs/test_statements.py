@@ -1,0 +1,47 @@
+"""Statements of the documentation that the code could make untrue."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+from revisit.cli.keys import revoke_key
+from revisit.service.application.access.admission import STREAM_ENDS_WITHIN_S, STREAM_RECHECK_S
+from revisit.service.settings import Settings
+
+ROOT = Path(__file__).resolve().parents[3]
+
+
+def page(name: str) -> str:
+    """A page of the documentation, as one line."""
+    return " ".join((ROOT / "docs" / name).read_text().split())
+
+
+def test_a_revoked_key_ends_open_streams_within_one_time_everywhere():
+    assert 2 * STREAM_RECHECK_S <= STREAM_ENDS_WITHIN_S
+    within = f"within {STREAM_ENDS_WITHIN_S:g} s"
+    told = [page("how-to/secure-a-deployment.md"), revoke_key.__doc__, (ROOT / "revisit/cli/keys.py").read_text()]
+    sentences = [found for text in told for found in re.findall(r"open streams? ends? (within \S+ s)\b", text)]
+    assert len(sentences) >= 3 and set(sentences) == {within}
+
+
+def test_the_quick_start_for_cpp_names_every_package_that_its_commands_need():
+    told = page("quick-start/cpp.md")
+    named = re.search(r"apt-get install ([^`]+?) ```", told)[1].split()
+    # protoc, its plugin, the headers and libraries of both, and what compiles and links.
+    assert {"protobuf-compiler", "protobuf-compiler-grpc", "libprotobuf-dev", "libgrpc++-dev"} <= set(named)
+    assert {"g++", "pkg-config"} <= set(named)
+
+
+def test_no_page_promises_a_setting_of_retention_that_does_not_exist():
+    settings = [name for name in Settings.model_fields if "retention" in name or "keep_scans" in name]
+    assert not settings
+    told = page("reference/measurements.md")
+    assert "setting of retention" not in told
+    assert "Every scan is kept until its session or its map is deleted" in told
+
+
+def test_the_two_counts_of_keypoints_are_told_apart():
+    told = page("how-to/read-an-answer.md")
+    assert "`evidence.measurement.inliers` | keypoints that agree on a first guess of the pose" in told
+    assert "with the final pose" in page("how-to/look-at-a-map.md")
