@@ -281,7 +281,9 @@ class SqlSubmaps(SqlRepository[SubmapRecord]):
     ) -> list[PathPoint]:
         """See `SubmapRepository`."""
         asked = of_tenant(tenant, {"map_id": map_id, "session_id": session_id})
-        rows = self._connection.execute(_path(self._sees_all, back=back), {**asked, "from_ordinal": ordinal, "at_most": limit})
+        rows = self._connection.execute(
+            _path(self._sees_all, back=back), {**asked, "from_ordinal": ordinal, "at_most": limit}
+        )
         return [PathPoint(*row) for row in rows]
 
     def first_waiting(self, tenant: TenantId, map_id: str) -> int | None:
