@@ -99,7 +99,7 @@ def _last_stored(client: Client, session: Session, recording: Recording) -> int 
     if session.committed_stamp_ns is None:
         return -1
     cut = [submap for submap in client.list_submaps(session) if submap.first_seq is not None]
-    if not all(_has_place(recording, submap) for submap in cut):
+    if not all(has_place(recording, submap) for submap in cut):
         return None
     for last in _at_last_stamp(session, recording):
         if _is_as_long(session, recording, last) and _has_its_points(client, session, cut, recording, last):
@@ -107,7 +107,7 @@ def _last_stored(client: Client, session: Session, recording: Recording) -> int 
     return None
 
 
-def _has_place(recording: Recording, submap: Submap) -> bool:
+def has_place(recording: Recording, submap: Submap) -> bool:
     """Whether a scan was taken where and when the middle scan of the submap was."""
     at_stamp = np.flatnonzero(recording.stamps_ns == submap.stamp_ns)
     return any(np.abs(recording.pose(int(index)) - submap.T_odom_submap).max() < SAME_POSE for index in at_stamp)
