@@ -44,9 +44,10 @@ def export(
     http: Http = HTTP,
     json: Json = False,
 ) -> None:
-    """Write a map: pose graph (g2o), loops (csv), a session's odometry (tum), every scan of its
-    recording in the map (scans, as tum), poses of submaps in the map (kitti), one cloud (ply, pcd, laz), one mesh (mesh, glb), an occupancy grid (grid), poses and cloud for Foxglove (mcap), or pairs of points
-    for fleet adapters (reference). Poses are those of the version in force, or else optimised here.
+    """Write a map: pose graph (g2o), loops (csv), a session's odometry (tum), every scan of its recording in the map
+    (scans, as tum), poses of submaps in the map (kitti), one cloud (ply, pcd, laz), one mesh (mesh, glb), an occupancy
+    grid (grid), poses and cloud for Foxglove (mcap), or pairs of points for fleet adapters (reference). Poses are those
+    of the version in force, or else optimised here.
     """
     if file_format not in TEXTS + FILES:
         raise refuse(f"--format is one of {', '.join(TEXTS + FILES)}")
