@@ -58,7 +58,7 @@ def export(
     if file_format in FILES and out is None:
         raise refuse(f"--format {file_format} needs --out")
     try:
-        if recording is not None and out is not None:
+        if file_format == "scans" and recording is not None and out is not None:
             summary = _write_scans(out, http, (map_id, session_id), opened(recording, "auto", None, None, None, poses))
         elif out is None or file_format in TEXTS:
             summary = _write_text(file_format, out, http, map_id, session_id)
