@@ -85,7 +85,8 @@ def settings() -> str:
         "# Settings",
         (
             "The service reads these environment variables and no file. `revisit serve` has options for the commonest. "
-            "A value that cannot be used ends the start with status 78 and the variable's name."
+            "A value that cannot be used ends the start with status 78 and the variable's name; so does a misspelt "
+            "variable, with the nearest name."
         ),
     ]
     for name, field in Settings.model_fields.items():

@@ -10,7 +10,9 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from revisit.service import ONE_THREAD
+import structlog
+
+from revisit.service import ONE_THREAD, VERSION
 from revisit.service.worker.optional_libraries import leave_out_optional_libraries
 
 if TYPE_CHECKING:
@@ -101,12 +103,19 @@ def _run(options: argparse.Namespace, settings: Settings) -> int:
     from revisit.service.compiled_kernels import choose_cache
 
     choose_cache(settings.home)
+    if options.command == "worker":
+        _tell_start("worker")
     from revisit.service.composition import run_worker, worker_seen
 
     if options.command == "seen":
         return 0 if worker_seen(settings, options.id) else _refuse(f"worker {options.id} has not shown itself lately")
     run_worker(settings, options.id, options.parent)
     return 0
+
+
+def _tell_start(command: str) -> None:
+    """The first line of the log: what is imported next takes seconds."""
+    structlog.get_logger(__name__).info("starting", command=command, version=VERSION)
 
 
 def _unit() -> str:
@@ -123,6 +132,7 @@ def _serve(settings: Settings) -> int:
             f"refusing to listen on {settings.host}, which others can reach, without {' and '.join(missing)}. "
             "Listen on 127.0.0.1, or set REVISIT_INSECURE_BIND=1 if you mean it."
         )
+    _tell_start("serve")
     from revisit.service.adapters.files.home_lock import HomeTaken, sole_gateway
     from revisit.service.compiled_kernels import choose_cache
 

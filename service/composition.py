@@ -50,6 +50,7 @@ from revisit.service.settings import Settings
 from revisit.service.worker.confinement import confine
 from revisit.service.worker.ends import STORAGE_FAILED
 from revisit.service.worker.heartbeat import WorkerIdentity
+from revisit.service.worker.loading import told_while_loading
 from revisit.service.worker.loop import Worker, WorkerLimits
 
 if TYPE_CHECKING:
@@ -217,8 +218,9 @@ def run_worker(settings: Settings, worker_id: str | None, parent_pid: int | None
     share_one_heap()
     return_large_blocks(SPARE_BYTES)
     log.info("worker_loading", device=settings.device)
-    use(open_device(settings.device))
-    recogniser = load_recogniser(settings.recogniser)
+    with told_while_loading(log.info):
+        use(open_device(settings.device))
+        recogniser = load_recogniser(settings.recogniser)
     begin_anew_if_compiled()
     stopping = threading.Event()
     for number in STOP_SIGNALS:

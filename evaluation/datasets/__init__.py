@@ -41,11 +41,17 @@ AUTO = "auto"
 """Stands for a bag, a KITTI folder, or else any folder of clouds, by what lies in the folder."""
 
 
-def open_recording(folder: Path, file_format: str = AUTO, wanted: WantedTopics = WantedTopics()) -> Recording:
-    """The recording in `folder`. `wanted` is for bags.
+def open_recording(
+    folder: Path, file_format: str = AUTO, wanted: WantedTopics = WantedTopics(), poses: Path | None = None
+) -> Recording:
+    """The recording in `folder`. `wanted` is for bags, `poses` a file of them for a folder of clouds.
 
     Raises BadField for an unknown format, or where topics are named and it is no bag, and what opening raises.
     """
+    if poses is not None:
+        if is_bag(folder) or file_format not in (AUTO, "clouds", "kitti") or wanted != WantedTopics():
+            raise BadField("--poses is for folders of clouds: a bag has its poses in a topic", field="poses")
+        return open_cloud_folder(folder, poses)
     if file_format == AUTO:
         return _of_what_is_there(folder, wanted)
     if file_format not in FORMATS:

@@ -27,10 +27,15 @@ _CLOUD_FOLDERS = ("clouds", "scans", "velodyne", ".")
 _POSE_FILES = (
     "poses.txt", "poses.tum", "trajectory.txt", "trajectory.tum", "traj.txt", "poses.kitti", "poses.g2o", "graph.g2o",
 )  # fmt: skip
+_OF_ODOMETRIES = ("*_tum.txt", "*_kitti.txt", "odom_lidar.txt", "traj_lidar.txt")
+"""What KISS-ICP leaves in `results/latest`, and GLIM in its dump: odometry before what was optimised."""
+_OUTPUT_FOLDERS = (".", "results/latest", "dump")
 
 
-def open_cloud_folder(folder: Path) -> PosedClouds:
-    """Clouds in `clouds/`, `scans/`, `velodyne/` or the folder itself, and the LiDAR's poses (z up) beside them.
+def open_cloud_folder(folder: Path, poses: Path | None = None) -> PosedClouds:
+    """Clouds in `clouds/`, `scans/`, `velodyne/` or the folder itself, and the LiDAR's poses (z up).
+
+    These are in the file `poses`, else beside the clouds, or where KISS-ICP and GLIM leave them.
 
     Rows of 8 numbers are TUM (seconds, x, y, z, qx, qy, qz, qw), rows of 12 KITTI, without times 0.1 s apart. As many
     rows as clouds are taken one by one, unless the clouds are named by their times (seconds with a point, or
@@ -38,7 +43,8 @@ def open_cloud_folder(folder: Path) -> PosedClouds:
     more rows or fewer, TUM poses are interpolated. Of a g2o file the vertices are taken by their number, one for each
     cloud, 0.1 s apart; edges are not needed. Raises FileNotFoundError, MalformedBody, BadField, BadTransform.
     """
-    name, files, poses = folder.resolve().name, _clouds(folder), _pose_file(folder)
+    name, files = folder.resolve().name, _clouds(folder)
+    poses = poses or _pose_file(folder, files[0].parent)
     if poses.suffix == ".g2o":
         vertices = _g2o(poses)
         if len(vertices) != len(files):
@@ -71,11 +77,19 @@ def _clouds(folder: Path) -> list[Path]:
     raise FileNotFoundError(f"no clouds ({', '.join(_SUFFIXES)}) in {folder}")
 
 
-def _pose_file(folder: Path) -> Path:
+def _pose_file(folder: Path, clouds: Path) -> Path:
     for name in _POSE_FILES:
         if (folder / name).exists():
             return folder / name
-    raise FileNotFoundError(f"no trajectory ({', '.join(_POSE_FILES)}) in {folder}")
+    for output in _OUTPUT_FOLDERS:
+        for pattern in _OF_ODOMETRIES:
+            for file in sorted((folder / output).glob(pattern)):
+                return file
+    raise FileNotFoundError(
+        f"no odometry for the clouds in {folder}: neither {', '.join(_POSE_FILES)}, nor a file of KISS-ICP or GLIM. "
+        "Name one with --poses FILE (TUM or KITTI). KISS-ICP makes one from the clouds alone: "
+        f"`pip install kiss-icp`, then `kiss_icp_pipeline {clouds}`, which writes results/latest/*_tum.txt"
+    )
 
 
 def _tum(file: Path, rows: NDArray[np.float64]) -> tuple[Stamps, NDArray[np.float64]]:

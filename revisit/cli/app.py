@@ -19,6 +19,7 @@ from revisit.cli import (
     ingest,
     inspect,
     keys,
+    loop_decisions,
     maps,
     merging,
     operations,
@@ -26,6 +27,7 @@ from revisit.cli import (
     queries,
     reembed,
     serve,
+    sessions,
     spool,
     watch,
 )
@@ -56,6 +58,8 @@ COMMANDS = (
 )  # fmt: skip
 GROUPS = {
     "map": maps.group,
+    "session": sessions.group,
+    "loop": loop_decisions.group,
     "operations": operations.group,
     "keys": keys.group,
     "audit": audit.group,

@@ -11,7 +11,7 @@ from revisit.cli.extras import needs
 from revisit.cli.inspect import warn
 from revisit.cli.options import LeaveDistance, PositiveRadius, Stride, Tau
 from revisit.cli.output import emit_table, progress_bar, refuse, reporter, say
-from revisit.cli.recordings import Format, Mounting, Odometry, Topic, opened
+from revisit.cli.recordings import Format, Mounting, Odometry, Poses, Topic, opened
 
 if TYPE_CHECKING:
     from revisit.evaluation.datasets import Recording
@@ -29,6 +29,7 @@ def evaluate(
     topic: Topic = None,
     odometry: Odometry = None,
     mounting: Mounting = None,
+    poses: Poses = None,
     json: Annotated[Path | None, typer.Option("--json", help="Write rows and summary to this file.")] = None,
     tau: Tau = None,
     stride: Stride = None,
@@ -56,7 +57,7 @@ def evaluate(
         raise refuse("--ablation is none, no-implicit, bev-only or normals-only")
     if options.profile not in PROFILES:
         raise refuse("--profile is product or paper")
-    recording = opened(folder, file_format, topic, odometry, mounting)
+    recording = opened(folder, file_format, topic, odometry, mounting, poses)
     warn(recording)
     _evaluate(recording, options, json)
 

@@ -12,13 +12,15 @@ import typer
 from revisit.cli.extras import what_is_missing
 from revisit.cli.options import HTTP, Http, Json, MapName
 from revisit.cli.output import emit_json, progress_bar, refuse, reporter, say
+from revisit.cli.recordings import Poses, opened
 
 if TYPE_CHECKING:
     from revisit.cli.map_files import PlacedSubmap
     from revisit.cli.pose_graph_files import Graph
+    from revisit.evaluation.datasets import Recording
 
 TEXTS = ("g2o", "tum", "csv")
-FILES = ("kitti", "ply", "pcd", "laz", "mesh", "glb", "grid", "mcap", "reference")
+FILES = ("scans", "kitti", "ply", "pcd", "laz", "mesh", "glb", "grid", "mcap", "reference")
 
 Report = Callable[[str, int, int], None]
 
@@ -29,27 +31,36 @@ def export(
         str,
         typer.Option(
             "--format",
-            help="g2o, tum, csv, kitti, ply, pcd, laz (cloud), mesh (ply), glb (mesh), grid, mcap, reference.",
+            help="g2o, tum, csv, scans, kitti, ply, pcd, laz (cloud), mesh (ply), glb (mesh), grid, mcap, reference.",
         ),
     ] = "g2o",
-    session_id: Annotated[str, typer.Option("--session", help="Only this session; tum needs one.")] = "",
+    session_id: Annotated[str, typer.Option("--session", help="Only this session; tum and scans need one.")] = "",
     out: Annotated[Path | None, typer.Option(help="File to write; g2o, tum and csv go to stdout by default.")] = None,
+    recording: Annotated[
+        Path | None, typer.Option(exists=True, help="scans: the recording that the session was ingested from.")
+    ] = None,
+    poses: Poses = None,
     epsg: Annotated[int, typer.Option(min=0, help="laz: number of the reference system that the map is in.")] = 0,
     http: Http = HTTP,
     json: Json = False,
 ) -> None:
-    """Write a map: pose graph (g2o), loops (csv), a session's odometry (tum), poses in the map (kitti), one cloud (ply,
-    pcd, laz), one mesh (mesh, glb), an occupancy grid (grid), poses and cloud for Foxglove (mcap), or pairs of points
-    for fleet adapters (reference). Poses are those of the version in force, or else optimised here.
+    """Write a map: pose graph (g2o), loops (csv), a session's odometry (tum), every scan of its recording in the map
+    (scans, as tum), poses of submaps in the map (kitti), one cloud (ply, pcd, laz), one mesh (mesh, glb), an occupancy
+    grid (grid), poses and cloud for Foxglove (mcap), or pairs of points for fleet adapters (reference). Poses are those
+    of the version in force, or else optimised here.
     """
     if file_format not in TEXTS + FILES:
         raise refuse(f"--format is one of {', '.join(TEXTS + FILES)}")
-    if file_format == "tum" and not session_id:
-        raise refuse("a tum file holds one trajectory: give --session")
+    if file_format in ("tum", "scans") and not session_id:
+        raise refuse(f"--format {file_format} writes one trajectory: give --session")
+    if file_format == "scans" and recording is None:
+        raise refuse("--format scans needs --recording: the service keeps no pose of a single scan")
     if file_format in FILES and out is None:
         raise refuse(f"--format {file_format} needs --out")
     try:
-        if out is None or file_format in TEXTS:
+        if file_format == "scans" and recording is not None and out is not None:
+            summary = _write_scans(out, http, (map_id, session_id), opened(recording, "auto", None, None, None, poses))
+        elif out is None or file_format in TEXTS:
             summary = _write_text(file_format, out, http, map_id, session_id)
         else:
             summary = _write_file(file_format, out, http, (map_id, session_id), epsg)
@@ -88,6 +99,26 @@ def _write_file(file_format: str, out: Path, http: str, chosen: tuple[str, str],
         write = partial(_write_cloud, kind="laz", epsg=epsg) if file_format == "laz" else _WRITERS[file_format]
         counts = write(out, http, placed, reporter(bar))
     return {"file": str(out), "submaps": len(placed), **counts}
+
+
+def _write_scans(out: Path, http: str, chosen: tuple[str, str], recording: Recording) -> dict[str, Any]:
+    """Every scan of the recording of a session in the map; how many. Exits where it is another recording."""
+    from revisit.cli.map_files import placed_submaps
+    from revisit.cli.resuming import has_place
+    from revisit.cli.scan_trajectory import corrections_of, trajectory_lines
+    from revisit.sdk.client import Client
+
+    session = f"maps/{chosen[0]}/sessions/{chosen[1]}"
+    with Client(http) as client:
+        submaps = client.list_submaps(session)
+    if not all(has_place(recording, submap) for submap in submaps):
+        raise refuse(f"{recording.name} is not the recording of {session}, or not as it is read now")
+    placed = {one.name: one.T_map_submap for one in placed_submaps(http, *chosen)}
+    corrections = corrections_of(submaps, placed)
+    if not corrections:
+        raise refuse(f"{session} has no submap in the map yet")
+    out.write_text(trajectory_lines(recording, corrections))
+    return {"file": str(out), "scans": len(recording), "submaps": len(corrections)}
 
 
 def _write_kitti(out: Path, _http: str, placed: list[PlacedSubmap], _report: Report) -> dict[str, int]:

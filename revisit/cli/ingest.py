@@ -17,7 +17,7 @@ from revisit.cli.ids import id_of, require_id
 from revisit.cli.inspect import warn, warn_of_findings
 from revisit.cli.options import GRPC, Grpc, Json, MapName
 from revisit.cli.output import emit_json, emit_table, progress_bar, refuse, signs, tell
-from revisit.cli.recordings import Format, Mounting, Odometry, Topic, opened
+from revisit.cli.recordings import Format, Mounting, Odometry, Poses, Topic, opened
 from revisit.core.errors import RevisitError
 from revisit.sdk.errors import NotFound
 
@@ -122,6 +122,7 @@ def ingest(
     topic: Topic = None,
     odometry: Odometry = None,
     mounting: Mounting = None,
+    poses: Poses = None,
     scene_scale: Annotated[
         float | None, typer.Option(min=0.01, max=10.0, help="Size of a new map's scene compared with a street.")
     ] = None,
@@ -142,7 +143,7 @@ def ingest(
     require_id("--map", map_id)
     if session_id:
         require_id("--session", session_id)
-    recording = opened(folder, file_format, topic, odometry, mounting)
+    recording = opened(folder, file_format, topic, odometry, mounting, poses)
     warn(recording)
     target = Target(grpc, map_id, session_id or id_of(recording.name, "--session"), scene_scale, storey)
     try:

@@ -13,7 +13,7 @@ import typer
 from revisit.cli.extras import needs
 from revisit.cli.options import HTTP, Http, Json
 from revisit.cli.output import emit_json, emit_table, refuse, say, signs
-from revisit.cli.recordings import Format, Mounting, Odometry, Topic, opened
+from revisit.cli.recordings import Format, Mounting, Odometry, Poses, Topic, opened
 
 if TYPE_CHECKING:
     from revisit.evaluation.datasets import Recording
@@ -29,6 +29,7 @@ def inspect(
     topic: Topic = None,
     odometry: Odometry = None,
     mounting: Mounting = None,
+    poses: Poses = None,
     picture: Annotated[Path | None, typer.Option(help="Draw the path and one scan to this PNG or SVG file.")] = None,
     http: Http = HTTP,
     json: Json = False,
@@ -40,7 +41,7 @@ def inspect(
     if _SESSION.fullmatch(recording) and not Path(recording).exists():
         _inspect_session(recording, http, json)
     elif Path(recording).exists():
-        _inspect_recording(Path(recording), file_format, topic, odometry, mounting, picture, json)
+        _inspect_recording(Path(recording), (file_format, topic, odometry, mounting, poses), picture, json)
     else:
         raise refuse(f"{recording} is no folder, no bag, and no maps/{{map}}/sessions/{{session}}")
 
@@ -63,16 +64,14 @@ def _inspect_session(name: str, http: str, as_json: bool) -> None:
 @needs("service")
 def _inspect_recording(
     folder: Path,
-    file_format: str,
-    topic: str | None,
-    odometry: str | None,
-    mounting: str | None,
+    read_as: tuple[str, str | None, str | None, str | None, Path | None],
     picture: Path | None,
     as_json: bool,
 ) -> None:
+    """`read_as` are the options of `opened`."""
     from revisit.evaluation.inspection import inspect_recording
 
-    recording = opened(folder, file_format, topic, odometry, mounting)
+    recording = opened(folder, *read_as)
     inspection = inspect_recording(recording)
     if picture is not None:
         _draw(recording, inspection, picture)

@@ -11,8 +11,8 @@ import typer
 
 from revisit.cli import map_tiles, map_versions
 from revisit.cli.merging import show_changes
-from revisit.cli.options import HTTP, Http, Json, MapName
-from revisit.cli.output import emit_json, emit_table, refuse, say, utc
+from revisit.cli.options import HTTP, Http, Json, MapName, Yes
+from revisit.cli.output import confirm, emit_json, emit_table, refuse, say, utc
 from revisit.cli.waiting import waited
 
 if TYPE_CHECKING:
@@ -29,6 +29,42 @@ group.command("files")(map_versions.files)
 group.command("check")(map_versions.check)
 group.command("diff")(map_versions.diff)
 group.command("localise")(map_versions.localise)
+
+
+@group.command("list")
+def list_maps(http: Http = HTTP, json: Json = False) -> None:
+    """List the maps, oldest first."""
+    from revisit.sdk.client import Client
+
+    with Client(http) as client:
+        found = client.list_maps()
+    if json:
+        emit_json([asdict(one) for one in found])
+        return
+    rows = [
+        (
+            one.name.rpartition("/")[2],
+            one.display_name,
+            one.session_count,
+            one.submap_count,
+            one.map_version or "-",
+            one.scene_scale,
+        )
+        for one in found
+    ]
+    emit_table("Maps", ("map", "name", "sessions", "submaps", "version", "scene scale"), rows)
+
+
+@group.command("delete")
+def delete(map_id: Annotated[str, typer.Argument(help="Id of the map.")], yes: Yes = False, http: Http = HTTP) -> None:
+    """Delete a map with all of its sessions. It cannot be brought back."""
+    from revisit.sdk.client import Client
+
+    with Client(http) as client:
+        found = client.get_map(map_id)
+        confirm(f"Delete {found.name} with {found.session_count} sessions, {found.submap_count} submaps?", yes)
+        client.delete(f"maps/{map_id}")
+    say(f"maps/{map_id} is deleted.")
 
 
 @group.command("status")

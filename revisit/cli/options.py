@@ -11,6 +11,7 @@ Http = Annotated[str, typer.Option(envvar="REVISIT_URL", help="URL of the servic
 Grpc = Annotated[str, typer.Option(envvar="REVISIT_GRPC", help="host:port of the service's gRPC side.")]
 Home = Annotated[Path | None, typer.Option(help="Directory of the database and the blobs.")]
 Json = Annotated[bool, typer.Option("--json", help="Answer as JSON.")]
+Yes = Annotated[bool, typer.Option("--yes", help="Do not ask.")]
 MapName = Annotated[str, typer.Option("--map", help="Id of the map.")]
 Tau = Annotated[float | None, typer.Option(help="Metres per submap.")]
 Stride = Annotated[float | None, typer.Option(help="Metres between submap starts.")]

@@ -47,6 +47,12 @@ def say(message: str) -> None:
     typer.echo(message)
 
 
+def confirm(question: str, yes: bool) -> None:
+    """Ask before something is lost, unless `yes`. Exits where the answer is no."""
+    if not yes:
+        typer.confirm(question, abort=True)
+
+
 def utc(at_ns: int | None) -> str:
     """A time in nanoseconds since 1970, to the second; nothing for None."""
     return "" if at_ns is None else datetime.fromtimestamp(at_ns // 10**9, UTC).strftime("%Y-%m-%d %H:%M:%S")

@@ -90,8 +90,12 @@ def as_tum(graph: Graph) -> str:
 
 def tum_lines(poses: Iterable[tuple[Submap, Matrix4]]) -> str:
     """`stamp x y z qx qy qz qw` of each submap and its pose (4, 4)."""
-    lines = [f"{one.stamp_ns // 10**9}.{one.stamp_ns % 10**9:09d} {_numbers(pose)}" for one, pose in poses]
-    return "\n".join(lines) + "\n"
+    return "\n".join(tum_line(one.stamp_ns, pose) for one, pose in poses) + "\n"
+
+
+def tum_line(stamp_ns: int, pose: Matrix4) -> str:
+    """`stamp x y z qx qy qz qw`, stamp in seconds."""
+    return f"{stamp_ns // 10**9}.{stamp_ns % 10**9:09d} {_numbers(pose)}"
 
 
 def as_csv(graph: Graph) -> str:

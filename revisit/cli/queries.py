@@ -86,12 +86,13 @@ def loops(
             loop.similarity,
             loop.score,
             *_planar(loop.T_match_query),
+            loop.name.rpartition("/")[2],
         )
         for loop in found
     ]
     emit_table(
         f"{len(found)} loop closure{'' if len(found) == 1 else 's'}",
-        ("query", "match", "verdict", "reason", "similarity", "score", "x m", "y m", "z m", "yaw deg"),
+        ("query", "match", "verdict", "reason", "similarity", "score", "x m", "y m", "z m", "yaw deg", "loop"),
         rows,
     )
 

@@ -27,15 +27,32 @@ Mounting = Annotated[
     ),
 ]
 
+Poses = Annotated[
+    Path | None,
+    typer.Option(
+        "--poses",
+        exists=True,
+        dir_okay=False,
+        help="Folders of clouds: file of their poses (TUM or KITTI), instead of the one beside them.",
+    ),
+]
 
-def opened(folder: Path, file_format: str, topic: str | None, odometry: str | None, mounting: str | None) -> Recording:
+
+def opened(
+    folder: Path,
+    file_format: str,
+    topic: str | None,
+    odometry: str | None,
+    mounting: str | None,
+    poses: Path | None = None,
+) -> Recording:
     """The recording; which topics of a bag were taken, and why, goes to stderr. Exits for an unusable option."""
     signs.doing(f"reading {folder}")
     from revisit.evaluation.datasets import AUTO, FORMATS, WantedTopics, notes_of, open_recording
 
     if file_format not in (AUTO, *FORMATS):
         raise refuse(f"--format is one of {', '.join((AUTO, *FORMATS))}")
-    recording = open_recording(folder, file_format, WantedTopics(topic, odometry, _transform(mounting)))
+    recording = open_recording(folder, file_format, WantedTopics(topic, odometry, _transform(mounting)), poses)
     for note in notes_of(recording):
         typer.echo(f"{recording.name}: {note}", err=True)
     return recording

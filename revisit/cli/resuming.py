@@ -80,7 +80,8 @@ def require_stored(client: Client, session: Session, recording: Recording, count
         return
     message = (
         f"{session.name} is finished and takes no more scans, and {lacking}. Give the recording a session of its own, "
-        f"with --session NAME, or delete that one (DELETE /v1/{session.name}) and ingest again"
+        f"with --session NAME, or delete that one (`revisit session delete`, or DELETE /v1/{session.name}) and ingest "
+        "again"
     )
     raise FailedPrecondition(ErrorDetails("FAILED_PRECONDITION", "SESSION_FINISHED", message))
 
@@ -99,7 +100,7 @@ def _last_stored(client: Client, session: Session, recording: Recording) -> int 
     if session.committed_stamp_ns is None:
         return -1
     cut = [submap for submap in client.list_submaps(session) if submap.first_seq is not None]
-    if not all(_has_place(recording, submap) for submap in cut):
+    if not all(has_place(recording, submap) for submap in cut):
         return None
     for last in _at_last_stamp(session, recording):
         if _is_as_long(session, recording, last) and _has_its_points(client, session, cut, recording, last):
@@ -107,7 +108,7 @@ def _last_stored(client: Client, session: Session, recording: Recording) -> int 
     return None
 
 
-def _has_place(recording: Recording, submap: Submap) -> bool:
+def has_place(recording: Recording, submap: Submap) -> bool:
     """Whether a scan was taken where and when the middle scan of the submap was."""
     at_stamp = np.flatnonzero(recording.stamps_ns == submap.stamp_ns)
     return any(np.abs(recording.pose(int(index)) - submap.T_odom_submap).max() < SAME_POSE for index in at_stamp)

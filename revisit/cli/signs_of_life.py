@@ -57,6 +57,7 @@ class SignsOfLife:
 
     def __enter__(self) -> Self:
         """Begin to watch."""
+        self._since = time.monotonic()
         threading.Thread(target=self._watch, name="signs of life", daemon=True).start()
         return self
 

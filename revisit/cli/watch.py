@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from revisit.cli.options import HTTP, Http, MapName
-from revisit.cli.output import plain, refuse, say
+from revisit.cli.output import plain, refuse, say, signs
 
 if TYPE_CHECKING:
     from revisit.sdk.resources import Event, LoopClosure, MapVersion, Operation
@@ -39,6 +39,7 @@ def watch(
     if unknown := [word for word in kinds if word not in KINDS]:
         raise refuse(f"--kind is one of {', '.join(KINDS)}, not {unknown[0]}")
     with Client(http) as client, suppress(KeyboardInterrupt):
+        signs.doing(f"waiting for events of map {map_id}")
         events = client.watch(f"maps/{map_id}", after=after, kinds=kinds)
         for event in islice(events, count):
             for line in [_document(event)] if json else _sentences(event):

@@ -55,6 +55,23 @@ with Client.grpc(sys.argv[2]) as client:
 print(sorted({"torch", "scipy", "numba", "fastapi"} & sys.modules.keys()))
 """
 
+ASKED = """
+import sys
+import numpy as np
+from revisit import Client
+from revisit.formats import decode_cloud, encode_npy
+points = np.random.default_rng(1).uniform(-10.0, 10.0, (5000, 3)).astype(np.float32)
+with Client(sys.argv[1]) as client:
+    session = client.create_session("yard", "again")
+    client.wait(client.post_submap(session, "gate", points, np.eye(4), 3))
+    loops = client.loop_closures("yard", session=session)
+    print([loop.query for loop in loops][:1])
+    print(loops[0].T_match_query.shape, loops[0].T_match_query.dtype)
+    stored = decode_cloud(client.download(loops[0].query, "npy"), "application/vnd.npy").points
+    client.localize("yard", points, T_level_query=np.eye(4))
+    print(len(client.search("yard", points=points, k=2)) > 0 and stored.shape[1] == 3)
+"""
+
 
 def checkout(folder: Path) -> Path:
     """The files of the working tree that are or would be committed, links as links."""
@@ -111,6 +128,22 @@ def environment(wheel, tmp_path_factory) -> Path:
     return folder
 
 
+@pytest.fixture(scope="module")
+def environment_of_jazzy(wheel, tmp_path_factory) -> Path:
+    """The same with the NumPy of ROS 2 Jazzy (Ubuntu 24.04), which comes from the package index."""
+    folder = tmp_path_factory.mktemp("jazzy")
+    subprocess.run([sys.executable, "-m", "venv", "--without-pip", str(folder)], check=True)
+    (site,) = folder.glob("lib/python*/site-packages")
+    link(distributions() - {"numpy"}, site)
+    pip = [sys.executable, "-m", "pip", "--python", str(folder / "bin/python"), "install", "--quiet"]
+    fetched = subprocess.run([*pip, "--only-binary", ":all:", "numpy==1.26.*"], capture_output=True, check=False)
+    if fetched.returncode:
+        pytest.skip("no package index gives numpy 1.26 here")
+    # With its dependencies: a requirement that they do not meet is refused.
+    run([*pip, "--no-index", str(wheel)], folder)
+    return folder
+
+
 def link(names: set[str], site: Path) -> None:
     """Put installed distributions into another environment."""
     for name in names:
@@ -149,6 +182,16 @@ def test_the_sdk_alone_posts_a_cloud_and_streams_a_scan(environment, project):
     with live_service() as service:
         shown = python(environment, project, "-c", POSTED, service.http, service.grpc)
     assert shown.splitlines() == ["['maps/yard/sessions/drive/submaps/gate']", "[]"]
+
+
+@pytest.mark.slow
+def test_the_sdk_posts_and_streams_with_the_numpy_of_ros_2_jazzy(environment_of_jazzy, project):
+    assert python(environment_of_jazzy, project, "-c", "import numpy; print(numpy.__version__)").startswith("1.26.")
+    with live_service() as service:
+        shown = python(environment_of_jazzy, project, "-c", POSTED, service.http, service.grpc)
+        asked = python(environment_of_jazzy, project, "-c", ASKED, service.http)
+    assert shown.splitlines() == ["['maps/yard/sessions/drive/submaps/gate']", "[]"]
+    assert asked.splitlines() == ["['maps/yard/sessions/again/submaps/gate']", "(4, 4) float64", "True"]
 
 
 def test_the_command_says_in_one_line_what_to_install(environment, project, tmp_path):

@@ -51,7 +51,7 @@ def test_a_database_of_a_newer_version_is_told_without_words_of_the_migrations(h
     main(["migrate"])
     with sqlite3.connect(home / "revisit.db") as connection:
         connection.execute("UPDATE alembic_version SET version_num = '9999'")
-    assert main(["serve"]) == 78
+    assert main(["migrate"]) == 78
     told = capsys.readouterr().err
     assert f"it was written by a newer Revisit (schema 9999, this one knows up to {NEWEST_REVISION})" in told
     assert "newer version, or restore a backup" in told and "revision" not in told and told.count("\n") == 1

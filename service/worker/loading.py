@@ -1,0 +1,35 @@
+"""What the log says while a worker loads: the first worker of an installation compiles its kernels."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any
+
+FIRST_S = 2.0
+EVERY_S = 10.0
+HINT = "the first worker here compiles its kernels: half a minute on a free core; later starts load them"
+
+
+@contextmanager
+def told_while_loading(
+    tell: Callable[..., Any], *, first_s: float = FIRST_S, every_s: float = EVERY_S
+) -> Iterator[None]:
+    """Call `tell` with `worker_still_loading` after `first_s` and then every `every_s`, until the loading ends."""
+    ended, began_s = threading.Event(), time.monotonic()
+
+    def watch() -> None:
+        wait_s = first_s
+        while not ended.wait(wait_s):
+            tell("worker_still_loading", seconds=round(time.monotonic() - began_s, 1), hint=HINT)
+            wait_s = every_s
+
+    thread = threading.Thread(target=watch, name="loading", daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        ended.set()
+        thread.join()

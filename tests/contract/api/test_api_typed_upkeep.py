@@ -1,0 +1,78 @@
+"""Maps, sessions and loops looked after by typing: listed, deleted, decided; and every scan where the map puts it."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from revisit import Client
+from revisit.cli.app import app
+from revisit.evaluation.datasets import write_kitti
+from revisit.sdk.errors import NotFound
+from tests.support.service_world import cloud_points, pose
+
+
+def invoke(*arguments, status=0, answer=None):
+    result = CliRunner().invoke(app, [str(argument) for argument in arguments], input=answer)
+    assert result.exit_code == status, result.output
+    return result.stdout
+
+
+@pytest.fixture
+def town(service, request):
+    """The id of a map with two sessions that met."""
+    with Client(service.http) as client:
+        made = client.create_map(f"typed-{request.node.name[:40]}")
+        for day in ("monday", "tuesday"):
+            session = client.create_session(made, day)
+            client.wait(client.post_submap(session, day[0], cloud_points(7), pose(0.0), 1_000))
+    return made.name.partition("/")[2]
+
+
+def test_maps_and_sessions_are_listed_and_deleted(service, town):
+    at = ("--http", service.http)
+    assert town in invoke("map", "list", *at)
+    assert town in {one["name"].partition("/")[2] for one in json.loads(invoke("map", "list", *at, "--json"))}
+    shown = invoke("session", "list", "--map", town, *at)
+    assert "monday" in shown and "tuesday" in shown
+    invoke("session", "delete", "monday", "--map", town, *at, answer="n\n", status=1)
+    invoke("session", "delete", "monday", "--map", town, *at, answer="y\n")
+    names = [one["name"] for one in json.loads(invoke("session", "list", "--map", town, *at, "--json"))]
+    assert names == [f"maps/{town}/sessions/tuesday"]
+    invoke("map", "delete", town, *at, "--yes")
+    with Client(service.http) as client, pytest.raises(NotFound):
+        client.get_map(town)
+
+
+def test_a_loop_is_rejected_taken_back_and_accepted_by_its_id(service, town):
+    at = ("--map", town, "--http", service.http)
+    (loop,) = json.loads(invoke("loops", *at, "--json"))
+    short = loop["name"].rpartition("/")[2]
+    assert short in invoke("loops", *at)
+    assert "REJECTED" in invoke("loop", "reject", short, *at, "--note", "two halls that look alike")
+    assert json.loads(invoke("loops", *at, "--json")) == []
+    assert json.loads(invoke("loop", "revert", short, *at, "--json"))["state"] == "ACCEPTED"
+    assert json.loads(invoke("loop", "accept", loop["name"], "--http", service.http, "--json"))["state"] == "ACCEPTED"
+
+
+def test_every_scan_of_a_recording_gets_its_pose_in_the_map(service, tmp_path):
+    recording = tmp_path / "drive"
+    scans = 30
+    write_kitti(recording, ((cloud_points(n % 15, 500), pose(float(n)), n * 10**8) for n in range(scans)))
+    invoke("ingest", recording, "--map", "scans", "--grpc", service.grpc, "--json")
+    out = tmp_path / "scans.tum"
+    export = ("export", "--format", "scans", "--map", "scans", "--session", "drive", "--http", service.http)
+    invoke(*export, "--recording", recording, "--out", out)
+    rows = np.loadtxt(out)
+    assert rows.shape == (scans, 8)
+    np.testing.assert_allclose(rows[:, 0], np.arange(scans) * 0.1, atol=1e-9)
+
+    other = tmp_path / "other"
+    write_kitti(other, ((cloud_points(n, 500), pose(3.0 * n), n * 10**8) for n in range(12)))
+    refused = CliRunner().invoke(app, [str(word) for word in (*export, "--recording", other, "--out", out)])
+    assert refused.exit_code == 1 and "is not the recording of" in refused.output
+    needs = CliRunner().invoke(app, [str(word) for word in (*export, "--out", out)])
+    assert needs.exit_code == 1 and "--recording" in needs.output
