@@ -48,6 +48,9 @@ LEVER_M = 20.0
 UNLIKE_SHARE, UNLIKE_RAD = 0.2, float(np.radians(3.0))
 """Of the way of a step, and its turn: from which on it is unlike the next."""
 
+LOOSER = 10.0
+"""How many times the variance of a step is once it is mended."""
+
 _LOOSE = 1e-6
 """The weight of a step that is broken, while the others say how far."""
 
@@ -195,7 +198,7 @@ def _event(
     tangent = se3.log(se3.inverse(stated[-1]) @ T_first_last)
     kind, amount = _kind(tangent, T_first_last)
     count = last - first
-    variances = 9.0 * np.diagonal(track.step_covariances[first:last], axis1=1, axis2=2)
+    variances = (LOOSER - 1.0) * np.diagonal(track.step_covariances[first:last], axis1=1, axis2=2)
     variances = variances + np.repeat([tangent[:3] @ tangent[:3], tangent[3:] @ tangent[3:]], 3) / count
     of_axis = slice(0, 3) if kind in (FaultKind.SLIP, FaultKind.JUMP) else slice(3, 6)
     sigma = float(np.sqrt(track.step_covariances[first:last, of_axis, of_axis].trace(axis1=1, axis2=2).sum() / 3.0))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import itertools
 from dataclasses import dataclass, replace
 from enum import StrEnum
 
@@ -65,7 +65,7 @@ class Mending:
         steps = slice(self.fault.first, self.fault.last)
         motions[steps] = self.motions
         covariances[steps] += self.variances[:, :, None] * np.eye(6)
-        poses = np.stack(list(_composed(track.T_odom_submap[0], motions)))
+        poses = composed(track.T_odom_submap[0], motions)
         return replace(track, T_odom_submap=poses, step_covariances=covariances)
 
 
@@ -74,10 +74,6 @@ def steps_of(track: Trajectory) -> Array64:
     return np.asarray(se3_rows.inverse(track.T_odom_submap[:-1]) @ track.T_odom_submap[1:])
 
 
-def _composed(start: se3.Matrix4, motions: Array64) -> Iterator[se3.Matrix4]:
-    """The poses after none, one, two ... of the motions (n, 4, 4)."""
-    pose = start
-    yield pose
-    for motion in motions:
-        pose = pose @ motion
-        yield pose
+def composed(start: se3.Matrix4, motions: Array64) -> Array64:
+    """The poses (n + 1, 4, 4) after none, one, two ... of the motions (n, 4, 4)."""
+    return np.stack(list(itertools.accumulate(motions, np.matmul, initial=start)))

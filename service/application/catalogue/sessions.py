@@ -12,6 +12,7 @@ from revisit.service.application.capacity.admission import Admission
 from revisit.service.application.capacity.backlog import JobPosting
 from revisit.service.application.catalogue.blob_references import Blob, BlobCollector
 from revisit.service.application.catalogue.deletion import delete_session
+from revisit.service.application.catalogue.odometry_findings import SessionFinding, odometry_findings
 from revisit.service.application.catalogue.paging import Lists, Page, PageRequest
 from revisit.service.application.contract.clock import Clock
 from revisit.service.application.contract.identity import (
@@ -50,22 +51,13 @@ class CreateSession:
 
 
 @dataclass(frozen=True)
-class SessionFinding:
-    """Something that is unlikely to be meant in so many submaps of a session, and what most likely causes it."""
-
-    code: str
-    submaps: int
-    cause: str
-    advice: str
-
-
-@dataclass(frozen=True)
 class SessionView:
     """A session as clients see it.
 
     `committed_seq` is the last scan stored durably, 0 for none; `committed_stamp_ns` is when that one was taken.
     `storey` is None where nobody said it.
-    `findings` are those of its submaps so far, the most frequent first; empty in lists of sessions.
+    `findings` are those of its submaps so far, the most frequent first, then those that the version of the map in force
+    has of its odometry; empty in lists of sessions.
     """
 
     key: SessionKey
@@ -211,8 +203,8 @@ def _whole(uow: UnitOfWork, record: SessionRecord) -> SessionView:
     counts = uow.submaps.flag_counts(record.tenant, record.map_id, record.session_id)
     known = ((code.lower(), count) for code, count in counts.items() if code.lower() in LIKELY_CAUSES)
     ordered = sorted(known, key=lambda found: (-found[1], found[0]))
-    findings = (SessionFinding(code, count, *LIKELY_CAUSES[code]) for code, count in ordered)
-    return replace(_view(uow, record), findings=tuple(findings))
+    of_submaps = (SessionFinding(code, count, *LIKELY_CAUSES[code]) for code, count in ordered)
+    return replace(_view(uow, record), findings=(*of_submaps, *odometry_findings(uow, record)))
 
 
 def _view(uow: UnitOfWork, record: SessionRecord) -> SessionView:
