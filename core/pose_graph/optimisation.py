@@ -115,10 +115,16 @@ def optimise(
     return _without_faults(graph, answer, told) if robustness is Robustness.COMMIT else answer
 
 
+Seeking = Callable[[PoseGraph, OptimisedGraph], list[Mending]]
+"""A way to seek faults of odometry in a graph and its answer."""
+
+
 def _without_faults(graph: PoseGraph, answer: OptimisedGraph, told: Callable[[int, int], None]) -> OptimisedGraph:
     """The answer with faults of odometry mended, as long as that explains more of the loops; or `answer`."""
     faults: list[OdometryFault] = []
-    for sought, rounds in ((_steady, 1), (partial(_broken, odd=True), MAX_MENDINGS), (_broken, MAX_MENDINGS)):
+    odd: Seeking = partial(_broken, odd=True)
+    ways: tuple[tuple[Seeking, int], ...] = ((_steady, 1), (odd, MAX_MENDINGS), (_broken, MAX_MENDINGS))
+    for sought, rounds in ways:
         for _ in range(rounds):
             more = sought(graph, answer)
             mended = _mended(graph, more)
