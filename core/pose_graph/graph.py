@@ -168,7 +168,7 @@ def _require_measurements(loops: Sequence[LoopEdge]) -> None:
 
 def _are_covariances(matrices: Array64) -> NDArray[np.bool_]:
     """Which matrices (n, 6, 6) are finite and positive definite."""
-    finite = np.isfinite(matrices).all(axis=(1, 2))
+    finite = np.asarray(np.isfinite(matrices).all(axis=(1, 2)))
     variances = np.linalg.eigvalsh(np.where(finite[:, None, None], matrices, np.eye(6)))
     return np.asarray(finite & (variances[:, 0] > 0.0))
 
