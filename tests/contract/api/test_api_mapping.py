@@ -77,7 +77,7 @@ def test_a_slip_of_odometry_is_mended_and_a_finding_of_its_session(service, clie
     assert fleet.fleet.error_m(fleet.poses(client.submap_poses(version))) < 0.5
     (finding,) = of_odometry(sessions["s1"])
     assert finding.code == "odometry_slip"
-    assert "between submaps 30 and 31" in finding.cause and "5 m" in finding.cause
+    assert "between submaps 30 and 31" in finding.cause and "4.9 m" in finding.cause
     assert of_odometry(sessions["s0"]) == []
 
 
