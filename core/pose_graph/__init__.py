@@ -7,6 +7,10 @@ consistency    sets of loops between two sessions that agree with each other
 support        loops within a session that its odometry allows and that others support
 placement      where sessions lie to each other before optimisation
 least_squares  Levenberg and Marquardt, graduated non-convexity
+heading_bias   odometry whose heading turns steadily, by loops within its session
+steady_faults  scale, slope and heading of odometry, by loops with other sessions
+broken_steps   slips, jumps, turns and tilts of odometry, by loops on both sides
+faults         what a session is told of its odometry, and what mends it
 optimisation   the most likely poses, and which loops they rest on
 normal_equations  errors and derivatives of many edges at once, and their factorisation
 warm_start     one loop more on poses that were found before

@@ -3,21 +3,25 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from revisit.core.geometry import se3
+from revisit.core.pose_graph.broken_steps import broken_steps, shows_a_fault
 from revisit.core.pose_graph.consistency import ConsistentSet, consistent_sets
+from revisit.core.pose_graph.faults import Mending, OdometryFault
 from revisit.core.pose_graph.graph import Node, PoseGraph, Trajectory
 from revisit.core.pose_graph.heading_bias import straightened
 from revisit.core.pose_graph.least_squares import ROUGHLY, Kernel, cauchy, graduated, huber, minimise, settled
 from revisit.core.pose_graph.normal_equations import Edges, Factorisation
 from revisit.core.pose_graph.placement import Component, place_sessions
-from revisit.core.pose_graph.support import LoopsWithin
+from revisit.core.pose_graph.steady_faults import steady_faults
+from revisit.core.pose_graph.support import LoopsWithin, supported_loops
 from revisit.core.pose_graph.variance_factor import rescaled, variance_factor
 
 Array64 = NDArray[np.float64]
@@ -29,6 +33,12 @@ WIDE_GATE = 100.0
 """Squared Mahalanobis distance beyond which a loop is set aside before the first exact solution."""
 
 MAX_GATINGS = 5
+
+MAX_MENDINGS = 3
+"""How often broken steps are sought again: a mended one may show others."""
+
+FAULT_PRICE = 2 * GATE
+"""What a fault of odometry must explain: as much as two loops that are set aside."""
 
 MAX_VOUCHED = 100
 """Loops, at most, that are held against the covariances of the poses."""
@@ -66,7 +76,7 @@ class OptimisedGraph:
     poses, NaN where its sessions share no frame. covariances (n, 6, 6) of the poses of each session, of the tangent
     (x, y, z, rx, ry, rz) in the submap's frame, metres and radians, as of the first submap of the component, which is
     held fast; NaN where they are too large to be computed. chi2, the squared errors of all steps and of the loops in
-    the map; degrees_of_freedom, what it is to be compared with.
+    the map; degrees_of_freedom, what it is to be compared with. faults: those of the odometry that were mended before.
     """
 
     T_map_submap: dict[str, Array64]
@@ -76,6 +86,12 @@ class OptimisedGraph:
     covariances: dict[str, Array64]
     chi2: float
     degrees_of_freedom: int
+    faults: tuple[OdometryFault, ...] = ()
+
+    @property
+    def price(self) -> float:
+        """Squared errors of the steps and the loops in the map; each other loop costs as much as the gate."""
+        return self.chi2 + GATE * sum(state is not LoopState.IN_MAP for state in self.loops)
 
     def T_map_odom(self, trajectory: Trajectory) -> se3.Matrix4:
         """The correction of a session: where its odometry frame lies in the map, as of its last submap."""
@@ -92,8 +108,72 @@ def optimise(
     comparison; covariances and distances in the answer rest on the reduced ones and on the straight odometry.
     `told` hears how many of how many components are done, and may raise to end the work.
     """
-    if robustness in (Robustness.ONLINE, Robustness.COMMIT):
-        graph = straightened(rescaled(graph, variance_factor(graph)))
+    if robustness not in (Robustness.ONLINE, Robustness.COMMIT):
+        return _judged(graph, robustness, told)
+    graph = straightened(rescaled(graph, variance_factor(graph)))
+    answer = _judged(graph, robustness, told)
+    return _without_faults(graph, answer, told) if robustness is Robustness.COMMIT else answer
+
+
+Seeking = Callable[[PoseGraph, OptimisedGraph], list[Mending]]
+"""A way to seek faults of odometry in a graph and its answer."""
+
+
+def _without_faults(graph: PoseGraph, answer: OptimisedGraph, told: Callable[[int, int], None]) -> OptimisedGraph:
+    """The answer with faults of odometry mended, as long as that explains more of the loops; or `answer`."""
+    faults: list[OdometryFault] = []
+    odd: Seeking = partial(_broken, odd=True)
+    ways: tuple[tuple[Seeking, int], ...] = ((_steady, 1), (odd, MAX_MENDINGS), (_broken, MAX_MENDINGS))
+    for sought, rounds in ways:
+        for _ in range(rounds):
+            more = sought(graph, answer)
+            mended = _mended(graph, more)
+            other = _judged(mended, Robustness.COMMIT, told) if more else answer
+            if not _explains_more(other, answer, len(more)):
+                break
+            graph, answer, faults = mended, other, faults + [one.fault for one in more]
+    return replace(answer, faults=tuple(sorted(faults, key=lambda one: (one.session, one.first, one.kind))))
+
+
+def _mended(graph: PoseGraph, mendings: Sequence[Mending]) -> PoseGraph:
+    """The graph with the odometry of its sessions mended."""
+    tracks = dict(graph.by_session)
+    for one in mendings:
+        tracks[one.fault.session] = one.applied(tracks[one.fault.session])
+    return replace(graph, trajectories=tuple(tracks[one.session] for one in graph.trajectories))
+
+
+def _steady(graph: PoseGraph, answer: OptimisedGraph) -> list[Mending]:
+    """What is wrong throughout with sessions that share a frame."""
+    found: list[Mending] = []
+    supported = supported_loops(graph)
+    for group in answer.components:
+        if len(group) > 1:
+            found += steady_faults(graph, supported, group)
+    return found
+
+
+def _broken(graph: PoseGraph, answer: OptimisedGraph, *, odd: bool = False) -> list[Mending]:
+    """The broken steps of all components, sought where loops are set aside that others support."""
+    supported = supported_loops(graph)
+    found: list[Mending] = []
+    for group in answer.components:
+        poses = {session: answer.T_map_submap[session] for session in group}
+        inside = [n for n, one in enumerate(graph.loops) if one.match.session in poses and one.query.session in poses]
+        kept = {n for n in inside if answer.loops[n] is LoopState.IN_MAP}
+        left = {n for n in supported.intersection(inside) - kept if shows_a_fault(graph.loops[n], poses)}
+        if left:
+            found += broken_steps(graph, kept | left, poses, odd=odd)
+    return found
+
+
+def _explains_more(other: OptimisedGraph, answer: OptimisedGraph, faults: int) -> bool:
+    """Whether an answer with so many faults mended costs less than one without: a fault costs FAULT_PRICE."""
+    return other.price + FAULT_PRICE * faults < answer.price
+
+
+def _judged(graph: PoseGraph, robustness: Robustness, told: Callable[[int, int], None]) -> OptimisedGraph:
+    """Poses and loops by the odometry as it is."""
     sets, within = consistent_sets(graph), LoopsWithin.of(graph)
     components = [one.anchored(graph.anchors) for one in place_sessions(graph, sets)]
     trusted = Trusted.of(graph, sets, within)

@@ -6,6 +6,7 @@ And a robot that comes back to a road sees it over many submaps: a right loop ha
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,7 +15,7 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from revisit.core.pose_graph.consistency import MAX_CLOSING_ERROR, Circles, inverted
+from revisit.core.pose_graph.consistency import MAX_CLOSING_ERROR, Circles, inverted, oriented
 from revisit.core.pose_graph.graph import LoopEdge, PoseGraph, Trajectory
 
 Array64 = NDArray[np.float64]
@@ -61,6 +62,21 @@ class LoopsWithin:
             if len(borne) > len(trajectory):
                 speakers |= {int(rows[group[0]]): tuple(rows[group].tolist()) for group in stretches(circles, borne)}
         return cls(frozenset(allowed), frozenset(supported), speakers)
+
+
+def supported_loops(graph: PoseGraph) -> frozenset[int]:
+    """The loops of the graph, by number, that close a small circle with another one; far odometry is not asked."""
+    groups: dict[tuple[str, str], list[int]] = {}
+    for number, loop in enumerate(graph.loops):
+        first, second = sorted((loop.match.session, loop.query.session))
+        groups.setdefault((first, second), []).append(number)
+    found: list[int] = []
+    for (first, second), numbers in groups.items():
+        loops = [graph.loops[number] for number in numbers]
+        turned = [_forward(one) if first == second else oriented(one, first) for one in loops]
+        circles = Circles.of(turned, graph.by_session[first], graph.by_session[second])
+        found += itertools.compress(numbers, have_support(circles, np.arange(len(numbers))))
+    return frozenset(found)
 
 
 def loops_within(graph: PoseGraph, trajectory: Trajectory) -> tuple[NDArray[np.int64], list[LoopEdge]]:

@@ -10,13 +10,15 @@ method), so that the end is that of Gauss and Newton.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from revisit.core.geometry import se3, se3_rows
-from revisit.core.pose_graph.graph import LoopEdge, Node, PoseGraph
+from revisit.core.pose_graph.broken_steps import BROKEN, LOOSER
+from revisit.core.pose_graph.faults import composed, steps_of
+from revisit.core.pose_graph.graph import LoopEdge, Node, PoseGraph, Trajectory
 from revisit.core.pose_graph.normal_equations import Edges
 from revisit.core.pose_graph.optimisation import GATE, WIDE_GATE, LoopState
 
@@ -79,13 +81,14 @@ class SolvedComponent:
     ) -> None:
         """The sessions of `T_map_submap` at these poses (n, 4, 4), and the `loops` of the graph that they rest on.
 
-        The first submap of session `anchor` is held fast. A session may have fewer poses than its trajectory.
+        The first submap of session `anchor` is held fast. A session may have fewer poses than its trajectory. Steps
+        that the poses say are broken are those of the poses.
         """
         nodes = [Node(session, ordinal) for session, poses in T_map_submap.items() for ordinal in range(len(poses))]
         self._rows = {node: row for row, node in enumerate(nodes)}
         self._ends = {session: len(poses) - 1 for session, poses in T_map_submap.items()}
         self._anchor = self._rows[Node(anchor, 0)]
-        tracks = [graph.by_session[session] for session in T_map_submap]
+        tracks = [_as_mended(graph.by_session[session], poses) for session, poses in T_map_submap.items()]
         measured = Edges.of_loops([graph.loops[number] for number in loops], self._rows)
         self._edges = Edges.of_steps(tracks, self._rows).joined(measured)
         poses = np.concatenate(list(T_map_submap.values()))
@@ -265,6 +268,22 @@ class SolvedComponent:
             movers.append((len(state.poses) + number, self._pose(node, state)))
             node = self._steps[number].before
         return [*movers, (self._rows[node], np.eye(4))]
+
+
+def _as_mended(track: Trajectory, poses: Array64) -> Trajectory:
+    """The session with the steps of `poses` (n, 4, 4) instead of those that these say are broken."""
+    known = len(poses)
+    seen, stated = se3_rows.inverse(poses[:-1]) @ poses[1:], steps_of(track)[: known - 1]
+    covariances = track.step_covariances.copy()
+    apart = se3_rows.log(se3_rows.inverse(stated) @ seen)
+    weighed = np.linalg.solve(covariances[: known - 1], apart[..., None])[..., 0]
+    broken = np.einsum("ni,ni->n", apart, weighed) > BROKEN
+    if not broken.any():
+        return track
+    motions = steps_of(track)
+    motions[: known - 1][broken] = seen[broken]
+    covariances[: known - 1][broken] *= LOOSER
+    return replace(track, T_odom_submap=composed(track.T_odom_submap[0], motions), step_covariances=covariances)
 
 
 def _inner(taken: list[_Taken]) -> Array64:

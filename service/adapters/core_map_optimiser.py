@@ -20,6 +20,7 @@ from revisit.service.application.contract.map_optimiser import (
     SolvedMap,
     SolvedTrack,
     Told,
+    TrackFault,
     TrackLoop,
 )
 from revisit.service.application.contract.states import GraphState
@@ -94,7 +95,12 @@ class NamedGraph:
             for loop, state, distance in zip(self.posed.loops, optimised.loops, optimised.residuals, strict=True)
         }
         loops = tuple(judged[loop.number] for loop in self.graph.loops)
-        return OptimisedMap(tracks, loops, optimised.chi2, optimised.degrees_of_freedom)
+        numbers = {name: number for number, name in self.names.items()}
+        faults = tuple(
+            TrackFault(numbers[one.session], one.kind.value, one.first, one.last, one.amount, one.sigma, one.loops)
+            for one in optimised.faults
+        )
+        return OptimisedMap(tracks, loops, optimised.chi2, optimised.degrees_of_freedom, faults)
 
     def _track(self, track: SessionTrack, optimised: OptimisedGraph) -> OptimisedTrack:
         name = self.names[track.session_number]

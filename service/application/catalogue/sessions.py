@@ -14,6 +14,7 @@ from revisit.service.application.catalogue.blob_references import Blob, BlobColl
 from revisit.service.application.catalogue.deletion import mark_session
 from revisit.service.application.catalogue.erasure import Erasure
 from revisit.service.application.catalogue.no_loops import NoLoops, why_no_loops
+from revisit.service.application.catalogue.odometry_findings import SessionFinding, odometry_findings
 from revisit.service.application.catalogue.paging import Lists, Page, PageRequest
 from revisit.service.application.contract.clock import Clock
 from revisit.service.application.contract.identity import (
@@ -54,23 +55,13 @@ class CreateSession:
 
 
 @dataclass(frozen=True)
-class SessionFinding:
-    """Something that is unlikely to be meant in so many submaps of a session, and what most likely causes it."""
-
-    code: str
-    submaps: int
-    cause: str
-    advice: str
-
-
-@dataclass(frozen=True)
 class SessionView:
     """A session as clients see it.
 
     `committed_seq` is the last scan stored durably, 0 for none; `committed_stamp_ns` is when that one was taken.
     `storey` is None where nobody said it.
-    `findings` are those of its submaps so far, the most frequent first. `no_loops` says why a finished session has no
-    loop. Neither is in lists of sessions.
+    `findings` are those of its submaps so far, the most frequent first, then those that the version of the map in force
+    has of its odometry. `no_loops` says why a finished session has no loop. Neither is in lists of sessions.
     """
 
     key: SessionKey
@@ -182,10 +173,10 @@ class Sessions:
         counts = uow.submaps.flag_counts(record.tenant, record.map_id, record.session_id)
         known = ((code.lower(), count) for code, count in counts.items() if code.lower() in LIKELY_CAUSES)
         ordered = sorted(known, key=lambda found: (-found[1], found[0]))
-        findings = (SessionFinding(code, count, *LIKELY_CAUSES[code]) for code, count in ordered)
+        of_submaps = (SessionFinding(code, count, *LIKELY_CAUSES[code]) for code, count in ordered)
         config = self._policy.for_map(require_map(uow, record.tenant, record.map_id))
         why = why_no_loops(uow, record, config.loop)
-        return replace(_view(uow, record), findings=tuple(findings), no_loops=why)
+        return replace(_view(uow, record), findings=(*of_submaps, *odometry_findings(uow, record)), no_loops=why)
 
     def _record(self, tenant: TenantId, command: CreateSession) -> SessionRecord:
         storey = validated_storey(command.storey)

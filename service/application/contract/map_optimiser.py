@@ -79,14 +79,39 @@ class JudgedLoop:
     squared_distance: float
 
 
+FAULTS = "odometry_faults"
+"""Where the stored summary of a version keeps the faults of odometry, beside the fields of a MapVersionSummary."""
+
+
+@dataclass(frozen=True)
+class TrackFault:
+    """A fault of a session's odometry that was mended before its loops were judged.
+
+    It lies between the submaps `first` and `last` of its track, from 0. amount: metres (SLIP, JUMP), radians (TURN,
+    TILT), or what goes on throughout: metres (SCALE, SLOPE) or radians (HEADING) a metre; sigma is its standard
+    deviation. `loops` speak for it.
+    """
+
+    session_number: int
+    kind: str
+    first: int
+    last: int
+    amount: float
+    sigma: float
+    loops: int
+
+
 @dataclass(frozen=True)
 class OptimisedMap:
-    """The most likely poses, what they say of every loop, and how well they fit: `chi2` by `degrees_of_freedom`."""
+    """The most likely poses, what they say of every loop, how well they fit (`chi2` by `degrees_of_freedom`), and the
+    faults of odometry without which they do.
+    """
 
     tracks: tuple[OptimisedTrack, ...]
     loops: tuple[JudgedLoop, ...]
     chi2: float
     degrees_of_freedom: int
+    faults: tuple[TrackFault, ...] = ()
 
 
 @dataclass(frozen=True)

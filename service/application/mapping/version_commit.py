@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -15,7 +15,7 @@ from revisit.service.application.contract.clock import Instant
 from revisit.service.application.contract.identity import TenantId
 from revisit.service.application.contract.job_queue import Lease
 from revisit.service.application.contract.map_frames import frame_name
-from revisit.service.application.contract.map_optimiser import JudgedLoop, OptimisedMap, OptimisedTrack
+from revisit.service.application.contract.map_optimiser import FAULTS, JudgedLoop, OptimisedMap, OptimisedTrack
 from revisit.service.application.contract.policy import Policy
 from revisit.service.application.contract.records import LoopRecord, MapRecord, MapVersionRecord, SessionPosesRecord
 from revisit.service.application.contract.session_poses import (
@@ -168,7 +168,8 @@ def forget_versions(uow: UnitOfWork, tenant: TenantId, map_id: str, last: int) -
 
 
 def summary_of(task: MapTask, tracks: Sequence[OptimisedTrack], optimised: OptimisedMap) -> dict[str, Any]:
-    """What a version rests on, and how far it moved the submaps: the fields of a MapVersionSummary.
+    """What a version rests on, and how far it moved the submaps: the fields of a MapVersionSummary, and FAULTS where
+    there are any.
 
     `tracks` are those of the task's tracks, in their order.
     """
@@ -185,6 +186,7 @@ def summary_of(task: MapTask, tracks: Sequence[OptimisedTrack], optimised: Optim
         "degrees_of_freedom": optimised.degrees_of_freedom,
         "mean_change_m": float(changes.mean()) if len(changes) else None,
         "max_change_m": float(changes.max()) if len(changes) else None,
+        **({FAULTS: [asdict(fault) for fault in optimised.faults]} if optimised.faults else {}),
     }
 
 

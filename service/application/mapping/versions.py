@@ -18,6 +18,7 @@ from revisit.service.application.contract import limits
 from revisit.service.application.contract.clock import Clock
 from revisit.service.application.contract.errors import NotFound
 from revisit.service.application.contract.identity import SubmapKey, TenantId
+from revisit.service.application.contract.map_optimiser import FAULTS
 from revisit.service.application.contract.policy import Policy
 from revisit.service.application.contract.records import MapRecord, MapVersionRecord, SessionPosesRecord
 from revisit.service.application.contract.session_poses import (
@@ -195,7 +196,7 @@ def _view(uow: UnitOfWork, record: MapRecord, row: MapVersionRecord) -> MapVersi
         restored_from=row.restored_from,
         content_hash=hash_of_version(row, hashes),
         operation_id=row.operation_id,
-        summary=row.summary,
+        summary={name: its for name, its in row.summary.items() if name != FAULTS},
         created_at_ns=row.created_at_ns,
         number=row.number,
     )

@@ -10,7 +10,7 @@ import pytest
 
 from revisit.core.geometry import se3
 from revisit.sdk.errors import FailedPrecondition, InvalidArgument, NotFound
-from tests.support.fleet_in_service import fleet_in
+from tests.support.fleet_in_service import fleet_in, slipped_fleet_in
 from tests.support.patience import PATIENCE_S
 from tests.support.service_world import cloud_points, pose
 
@@ -70,6 +70,23 @@ def test_poses_of_a_version_come_page_by_page_and_are_near_the_truth(client, fle
     assert fleet.fleet.error_m(poses) < 1.0 < 30.0 < fleet.fleet.error_m(odometry)
     assert all(np.linalg.eigvalsh(pose.covariance).min() > 0.0 for pose in listed)
     assert {pose.frame for pose in listed} == {client.correction(f"{fleet.name}/sessions/s0").frame}
+
+
+def test_a_slip_of_odometry_is_mended_and_a_finding_of_its_session(service, client):
+    fleet = slipped_fleet_in(service.world, f"slipped-{next(_numbers)}")
+    sessions = {name: f"{fleet.name}/sessions/{name}" for name in ("s0", "s1")}
+
+    def of_odometry(session):
+        return [one for one in client.get_session(session).findings if one.code.startswith("odometry_")]
+
+    assert of_odometry(sessions["s1"]) == []
+    version = optimised(client, fleet.name)
+    assert (version.summary.loops_in_map, version.summary.loops_set_aside) == (len(fleet.right()), 0)
+    assert fleet.fleet.error_m(fleet.poses(client.submap_poses(version))) < 0.5
+    (finding,) = of_odometry(sessions["s1"])
+    assert finding.code == "odometry_slip"
+    assert "between submaps 30 and 31" in finding.cause and "4.9 m" in finding.cause
+    assert of_odometry(sessions["s0"]) == []
 
 
 def test_a_correction_maps_odometry_into_the_map(client, fleet):

@@ -93,3 +93,16 @@ def test_the_benchmark_of_single_loops_takes_right_ones_to_where_a_whole_optimis
     found = run(poses=400, loops=12)
     assert found.taken == len(found.cpu_ms) == 12
     assert found.distance_m < 0.05
+
+
+def test_a_step_that_the_poses_have_mended_stays_mended(made: Fleet) -> None:
+    """Odometry as it came is what later loops find; the map knows better."""
+    (session, *others), slip = made.graph.trajectories, se3.from_yaw(0.0, (-6.0, 0.0, 0.0))
+    broken = session.T_odom_submap.copy()
+    broken[40:] = broken[39] @ slip @ se3.inverse(broken[39]) @ broken[40:]
+    graph = PoseGraph.of([replace(session, T_odom_submap=broken), *others], list(made.graph.loops[:-1]))
+    poses = optimise(made.graph, Robustness.PLAIN).T_map_submap
+    solved = SolvedComponent(graph, poses, range(len(graph.loops)), session.session)
+    assert solved.add(made.graph.loops[-1]) is LoopState.IN_MAP
+    solved.refresh()
+    assert farthest_m(solved, poses) < 0.1

@@ -1,0 +1,253 @@
+"""Steps of odometry that are wrong by far more than they state: a wheel that slips, an estimate that jumps or turns.
+
+One such step bends a map: the loops on one side of it agree with each other, those on the other side do so too, and
+both together with the odometry only at the price of half of them. Graduated non-convexity over steps and loops alike
+finds the steps without which everything else agrees. A place that is taken for another one looks like that too, so a
+step is believed to be broken only where loops of several places speak for it on both sides, by no more than odometry
+goes wrong, and where the way beyond is not back where odometry has it (docs/decisions/0318).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from revisit.core.geometry import se3, se3_rows
+from revisit.core.pose_graph.faults import FaultKind, Mending, OdometryFault, steps_of
+from revisit.core.pose_graph.graph import LoopEdge, Node, PoseGraph, Trajectory
+from revisit.core.pose_graph.least_squares import graduated, minimise
+from revisit.core.pose_graph.normal_equations import Edges
+from revisit.core.pose_graph.support import STRETCH, votes
+
+Array64 = NDArray[np.float64]
+
+BROKEN = 40.0
+"""Squared Mahalanobis distance of a step that is broken: chi-square with 6 degrees of freedom, one in two millions."""
+
+APART = 3
+"""Submaps by which broken steps may be apart to be one fault: noise shifts a part of it to its neighbours."""
+
+LEAST_LOOPS, LEAST_PLACES = 5, 2
+"""On each side of a fault: loops that hold, and the places that show them."""
+
+MOST_M, MOST_RAD = 15.0, float(np.radians(45.0))
+"""What is farther off is more likely another place than a fault of odometry."""
+
+EXPLAINED = 0.8
+"""The share of the places that loops show which must hold once the steps are mended."""
+
+SMALL_SHARE = 0.3
+"""Of a fault: what is less beside it is none, and what two faults leave together that come back."""
+
+LEVER_M = 20.0
+"""Metres by which a turn is as large as a shift."""
+
+UNLIKE_SHARE, UNLIKE_RAD = 0.2, float(np.radians(3.0))
+"""Of the way of a step, and its turn: from which on it is unlike the next."""
+
+LOOSER = 10.0
+"""How many times the variance of a step is once it is mended."""
+
+_LOOSE = 1e-6
+"""The weight of a step that is broken, while the others say how far."""
+
+
+def broken_steps(
+    graph: PoseGraph, loops: Collection[int], T_map_submap: dict[str, Array64], *, odd: bool = False
+) -> list[Mending]:
+    """The broken steps of sessions that share a frame, beyond doubt; poses (n, 4, 4) of each to begin with.
+
+    `loops`, by number, are those that may be right: within these sessions, and with others beside them that agree.
+    Asked are all steps or the `odd` ones: which of two sessions goes wrong, and where between two loops, no loop tells,
+    but the step that is unlike those beside it is rather the one.
+    """
+    held = _Held.of(graph, loops, T_map_submap, odd=odd)
+    if not held.broken.any() or held.explained < EXPLAINED:
+        return []
+    events = [one for track in held.tracks for one in _events(held, track)]
+    doubtful = [one for one in events if not _is_believed(one, events)]
+    large = [one for one in events if all(other.size < SMALL_SHARE * one.size for other in doubtful)]
+    return [one.mending for one in large]
+
+
+def shows_a_fault(loop: LoopEdge, T_map_submap: dict[str, Array64]) -> bool:
+    """Whether a loop lies so near to the poses (n, 4, 4) of its sessions that a fault of odometry explains the rest."""
+    T_map_match = T_map_submap[loop.match.session][loop.match.ordinal]
+    T_map_query = T_map_submap[loop.query.session][loop.query.ordinal]
+    tangent = se3.log(se3.inverse(T_map_match @ loop.T_match_query) @ T_map_query)
+    turn, lever_m = float(np.linalg.norm(tangent[3:])), float(np.ptp(T_map_submap[loop.query.session][:, :3, 3]))
+    return turn < MOST_RAD and float(np.linalg.norm(tangent[:3])) < MOST_M + turn * lever_m
+
+
+@dataclass(frozen=True)
+class _Held:
+    """What graduated non-convexity over steps and loops left: poses by session, broken steps, loops that hold, and the
+    share of all places that these show.
+    """
+
+    tracks: tuple[Trajectory, ...]
+    poses: dict[str, Array64]
+    broken: NDArray[np.bool_]
+    loops: tuple[LoopEdge, ...]
+    explained: float
+
+    @classmethod
+    def of(cls, graph: PoseGraph, loops: Collection[int], T_map_submap: dict[str, Array64], *, odd: bool) -> _Held:
+        """By the steps of the sessions and the loops of these numbers; any loop may be wrong, any step or odd step."""
+        tracks = tuple(one for one in graph.trajectories if one.session in T_map_submap)
+        nodes = [Node(one.session, ordinal) for one in tracks for ordinal in range(len(one))]
+        rows = {node: row for row, node in enumerate(nodes)}
+        asked = [graph.loops[number] for number in sorted(loops)]
+        steps = Edges.of_steps(tracks, rows)
+        edges = steps.joined(Edges.of_loops(asked, rows))
+        known = np.concatenate([*(~_odd(one) & odd for one in tracks), np.zeros(len(asked), bool)])
+        start = np.concatenate([T_map_submap[one.session] for one in tracks])
+        poses = graduated(edges.chosen(np.argsort(~known, kind="stable")), int(known.sum()), 0, start)
+        holds = known | (edges.squared_errors(poses) < BROKEN)
+        poses = minimise(edges.weighted(np.where(holds, 1.0, _LOOSE)), 0, poses)
+        holds = known | (edges.squared_errors(poses) < BROKEN)
+        kept = tuple(one for one, its in zip(asked, holds[len(steps) :], strict=True) if its)
+        by_session = np.split(poses, np.cumsum([len(one) for one in tracks])[:-1])
+        named = {one.session: its for one, its in zip(tracks, by_session, strict=True)}
+        counts = votes(np.unique([_place_of(one) for one in asked], axis=0, return_inverse=True)[1].ravel())
+        explained = float(np.average(holds[len(steps) :], weights=counts))
+        return cls(tracks, named, ~holds[: len(steps)], kept, explained)
+
+    def broken_of(self, track: Trajectory) -> NDArray[np.int64]:
+        """The broken steps of a session, by the submap that they begin at."""
+        before = sum(len(one) - 1 for one in self.tracks[: self.tracks.index(track)])
+        return np.flatnonzero(self.broken[before : before + len(track) - 1])
+
+    def ends_in(self, session: str) -> NDArray[np.int64]:
+        """The submaps (n,) of a session at which loops end that hold, each as often as loops end there."""
+        nodes = [node for one in self.loops for node in (one.match, one.query) if node.session == session]
+        return np.array([node.ordinal for node in nodes], dtype=np.int64)
+
+
+def _place_of(loop: LoopEdge) -> tuple[str, str, str, str]:
+    """The two stretches that a loop joins, whichever is its match."""
+    one, other = sorted((node.session, node.ordinal // STRETCH) for node in (loop.match, loop.query))
+    return one[0], str(one[1]), other[0], str(other[1])
+
+
+def _odd(track: Trajectory) -> NDArray[np.bool_]:
+    """Which steps (n,) are unlike both beside them."""
+    motions = steps_of(track)
+    if len(motions) < 2:
+        return np.zeros(len(motions), bool)
+    apart = se3_rows.log(se3_rows.inverse(motions[:-1]) @ motions[1:])
+    way_m = np.median(np.linalg.norm(motions[:, :3, 3], axis=1))
+    lengths, turns = np.linalg.norm(apart[:, :3], axis=1), np.linalg.norm(apart[:, 3:], axis=1)
+    unlike = (lengths > UNLIKE_SHARE * way_m) | (turns > UNLIKE_RAD)
+    return np.concatenate([[True], unlike]) & np.concatenate([unlike, [True]])
+
+
+@dataclass(frozen=True)
+class _Event:
+    """Broken steps that are one fault.
+
+    correction (6,) in the frame of the map: by how much the fault moves all behind it, about itself. loops and places
+    that speak for it, before and behind.
+    """
+
+    mending: Mending
+    correction: Array64
+    loops: tuple[int, int]
+    places: tuple[int, int]
+
+    @property
+    def size(self) -> float:
+        """How large the correction is, metres."""
+        return float(np.linalg.norm(self.correction[:3]) + LEVER_M * np.linalg.norm(self.correction[3:]))
+
+
+def _events(held: _Held, track: Trajectory) -> list[_Event]:
+    """The faults of a session in their order."""
+    broken = held.broken_of(track)
+    if not len(broken):
+        return []
+    groups = np.split(broken, np.flatnonzero(np.diff(broken) > APART) + 1)
+    borders = [0, *(int(one[-1]) + 1 for one in groups)], [*(int(one[0]) for one in groups), len(track) - 1]
+    ends = held.ends_in(track.session)
+    sides = [ends[(ends >= first) & (ends <= last)] for first, last in zip(*borders, strict=True)]
+    return [
+        _event(held, track, groups[n], sides[n], sides[n + 1])
+        for n in range(len(groups))
+        if len(sides[n]) and len(sides[n + 1])
+    ]
+
+
+def _event(
+    held: _Held,
+    track: Trajectory,
+    steps: NDArray[np.int64],
+    before: NDArray[np.int64],
+    behind: NDArray[np.int64],
+) -> _Event:
+    """A fault between the loops of both its sides; where between them, only an odd step tells."""
+    first, last = int(before.max()), int(behind.min())
+    odd = first + np.flatnonzero(_odd(track)[first:last])
+    if len(odd) and np.isin(odd, steps).all():
+        first, last = int(odd[0]), int(odd[-1]) + 1
+    T_map_submap = held.poses[track.session]
+    stated = se3_rows.inverse(track.T_odom_submap[first : first + 1]) @ track.T_odom_submap[first : last + 1]
+    T_first_last = se3.inverse(T_map_submap[first]) @ T_map_submap[last]
+    tangent = se3.log(se3.inverse(stated[-1]) @ T_first_last)
+    kind, amount = _kind(tangent, T_first_last)
+    count = last - first
+    variances = (LOOSER - 1.0) * np.diagonal(track.step_covariances[first:last], axis1=1, axis2=2)
+    variances = variances + np.repeat([tangent[:3] @ tangent[:3], tangent[3:] @ tangent[3:]], 3) / count
+    of_axis = slice(0, 3) if kind in (FaultKind.SLIP, FaultKind.JUMP) else slice(3, 6)
+    sigma = float(np.sqrt(track.step_covariances[first:last, of_axis, of_axis].trace(axis1=1, axis2=2).sum() / 3.0))
+    fault = OdometryFault(track.session, kind, first, last, amount, sigma, min(len(before), len(behind)))
+    turn = T_map_submap[last][:3, :3]
+    in_map = np.concatenate([turn @ tangent[:3], turn @ tangent[3:]])
+    mending = Mending(fault, _spread(stated, T_first_last), variances)
+    return _Event(mending, in_map, (len(before), len(behind)), (_places(before), _places(behind)))
+
+
+def _spread(stated: Array64, T_first_last: se3.Matrix4) -> Array64:
+    """The steps (n, 4, 4) of a way (n + 1, 4, 4) that ends elsewhere than it states, by even shares."""
+    whole = se3.log(T_first_last @ se3.inverse(stated[-1]))
+    shares = np.linspace(0.0, 1.0, len(stated))[:, None] * whole
+    poses = se3_rows.exp(shares) @ stated
+    return np.asarray(se3_rows.inverse(poses[:-1]) @ poses[1:])
+
+
+def _kind(correction: Array64, true: se3.Matrix4) -> tuple[FaultKind, float]:
+    """What a fault is, by the tangent (6,) that mends it in the frame of its end, the true motion, and by how much."""
+    turn, shift = correction[3:], correction[:3]
+    if np.linalg.norm(turn) > np.radians(2.0):
+        upright = abs(turn[2]) >= 0.7 * np.linalg.norm(turn)
+        return (FaultKind.TURN if upright else FaultKind.TILT), float(np.linalg.norm(turn))
+    way = true[:3, :3].T @ true[:3, 3]
+    ahead = way / max(float(np.linalg.norm(way)), 1e-9) if np.linalg.norm(way) > 0.1 else np.array([1.0, 0.0, 0.0])
+    along = abs(float(ahead @ shift))
+    is_slip = along >= 0.7 * float(np.linalg.norm(shift))
+    return (FaultKind.SLIP if is_slip else FaultKind.JUMP), float(np.linalg.norm(shift))
+
+
+def _places(ends: NDArray[np.int64]) -> int:
+    """How many places loops show that end at these submaps (n,): a stretch is one, however many loops there are."""
+    return len(np.unique((ends - ends.min()) // STRETCH))
+
+
+def _is_believed(event: _Event, events: Sequence[_Event]) -> bool:
+    """Whether a fault is beyond doubt: see the beginning of this file."""
+    shift, turn = np.linalg.norm(event.correction[:3]), np.linalg.norm(event.correction[3:])
+    if min(event.loops) < LEAST_LOOPS or min(event.places) < LEAST_PLACES or shift > MOST_M or turn > MOST_RAD:
+        return False
+    return not any(_come_back(event, other) for other in events if other is not event)
+
+
+def _come_back(one: _Event, other: _Event) -> bool:
+    """Whether two faults leave the sessions beyond both where odometry has them: what lies between is misplaced.
+
+    A fault of another session moves what lies beside it the other way.
+    """
+    same = one.mending.fault.session == other.mending.fault.session
+    both = replace(one, correction=one.correction + (1.0 if same else -1.0) * other.correction)
+    return both.size < SMALL_SHARE * max(one.size, other.size)

@@ -1,0 +1,79 @@
+"""Faults of odometry that loops show: what a session is told of, and what is taken out before its loops are judged."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass, replace
+from enum import StrEnum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from revisit.core.geometry import se3, se3_rows
+from revisit.core.pose_graph.graph import Trajectory
+
+Array64 = NDArray[np.float64]
+
+
+class FaultKind(StrEnum):
+    """What odometry did.
+
+    At once: way lost or made up (SLIP), a jump aside (JUMP), a wrong turn (TURN) or tilt (TILT). Throughout: lengths
+    (SCALE), climb (SLOPE) or heading (HEADING) wrong by so much a metre.
+    """
+
+    SLIP = "SLIP"
+    JUMP = "JUMP"
+    TURN = "TURN"
+    TILT = "TILT"
+    SCALE = "SCALE"
+    SLOPE = "SLOPE"
+    HEADING = "HEADING"
+
+
+@dataclass(frozen=True)
+class OdometryFault:
+    """A fault of a session's odometry, taken out before its loops were judged.
+
+    first and last: the submaps between which it lies; loops of neither side tell where. amount: metres of a slip or
+    jump, radians of a turn or tilt, metres or radians a metre of what goes on throughout; sigma is its standard
+    deviation. loops: how many speak for it.
+    """
+
+    session: str
+    kind: FaultKind
+    first: int
+    last: int
+    amount: float
+    sigma: float
+    loops: int
+
+
+@dataclass(frozen=True)
+class Mending:
+    """A fault with what mends it: the motions (n, 4, 4) of the steps from submap `fault.first` on, and the variances
+    (n, 6) that they have beyond those of the odometry.
+    """
+
+    fault: OdometryFault
+    motions: Array64
+    variances: Array64
+
+    def applied(self, track: Trajectory) -> Trajectory:
+        """The session with these steps instead of its own."""
+        motions, covariances = steps_of(track), track.step_covariances.copy()
+        steps = slice(self.fault.first, self.fault.last)
+        motions[steps] = self.motions
+        covariances[steps] += self.variances[:, :, None] * np.eye(6)
+        poses = composed(track.T_odom_submap[0], motions)
+        return replace(track, T_odom_submap=poses, step_covariances=covariances)
+
+
+def steps_of(track: Trajectory) -> Array64:
+    """The motions (n - 1, 4, 4) from each submap to the next."""
+    return np.asarray(se3_rows.inverse(track.T_odom_submap[:-1]) @ track.T_odom_submap[1:])
+
+
+def composed(start: se3.Matrix4, motions: Array64) -> Array64:
+    """The poses (n + 1, 4, 4) after none, one, two ... of the motions (n, 4, 4)."""
+    return np.stack(list(itertools.accumulate(motions, np.matmul, initial=start)))

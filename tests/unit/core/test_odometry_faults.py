@@ -1,0 +1,170 @@
+"""Odometry that goes wrong beyond its model: mended and named where loops show it, never made up for wrong loops."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from revisit.core.geometry import se3
+from revisit.core.pose_graph import LoopEdge, LoopState, Node, OptimisedGraph, PoseGraph, Trajectory, optimise
+from revisit.core.pose_graph.faults import FaultKind
+from tests.support.made_up_fleet import LOOP_COVARIANCE
+
+STEP_M = 5.0
+SUBMAPS = 80
+AT = 40
+"""The submap that a fault ends at."""
+
+Motion = Callable[[int, np.ndarray], np.ndarray]
+"""What odometry makes of the true motion to a submap."""
+
+
+def winding_way(submaps: int = SUBMAPS) -> np.ndarray:
+    """T_world_submap (n, 4, 4) along a road with bends."""
+    poses = [np.eye(4)]
+    for number in range(submaps - 1):
+        poses.append(poses[-1] @ se3.from_yaw(0.06 * np.sin(number / 9.0), (STEP_M, 0.0, 0.0)))
+    return np.stack(poses)
+
+
+def odometry(session: str, poses: np.ndarray, seed: int, wrong: Motion = lambda _, motion: motion) -> Trajectory:
+    """A drive along `poses` whose odometry errs a little, and as `wrong` says."""
+    rng, found = np.random.default_rng(seed), [se3.from_yaw(0.3 * seed, (10.0 * seed, 3.0, 0.0))]
+    for number, (first, second) in enumerate(itertools.pairwise(poses), 1):
+        noise = rng.normal(0.0, [0.02, 0.02, 0.02, 1e-3, 1e-3, 1e-3])
+        found.append(found[-1] @ wrong(number, se3.inverse(first) @ second) @ se3.exp(noise))
+    return Trajectory.from_odometry(session, np.stack(found))
+
+
+def loops(poses: np.ndarray, seed: int = 7, first: str = "a", second: str = "b") -> list[LoopEdge]:
+    """A right loop at every submap between two drives along the same poses."""
+    rng = np.random.default_rng(seed)
+    noise = [se3.exp(rng.normal(size=6) * np.sqrt(np.diag(LOOP_COVARIANCE))) for _ in poses]
+    return [
+        LoopEdge(f"{first}{second}-{k:03d}", Node(first, k), Node(second, k), noise[k], LOOP_COVARIANCE)
+        for k in range(len(poses))
+    ]
+
+
+def apart_m(answer: OptimisedGraph, first: str = "a", second: str = "b") -> float:
+    """How far a drive lies beside the other one in the worst case; they took the same way."""
+    gaps = np.linalg.inv(answer.T_map_submap[first]) @ answer.T_map_submap[second]
+    return float(np.linalg.norm(gaps[:, :3, 3], axis=1).max())
+
+
+def at_once(change: np.ndarray) -> Motion:
+    return lambda number, motion: motion @ change if number == AT else motion
+
+
+def scaled(factor: float) -> Motion:
+    return lambda _, motion: se3.from_rotation_translation(motion[:3, :3], factor * motion[:3, 3])
+
+
+def climbing(rise: float) -> Motion:
+    return lambda _, motion: motion @ se3.from_rotation_translation(np.eye(3), np.array([0.0, 0.0, rise * STEP_M]))
+
+
+FAULTS = {
+    "a slip of 2 m": (FaultKind.SLIP, 2.0, at_once(se3.from_yaw(0.0, (-2.0, 0.0, 0.0)))),
+    "a slip of 5 m": (FaultKind.SLIP, 5.0, at_once(se3.from_yaw(0.0, (-5.0, 0.0, 0.0)))),
+    "a jump of 10 m": (FaultKind.JUMP, 10.4, at_once(se3.from_yaw(0.0, (3.0, 10.0, 0.0)))),
+    "a turn of 20 degrees": (FaultKind.TURN, np.radians(20.0), at_once(se3.from_yaw(np.radians(20.0)))),
+    "a tilt of 6 degrees": (FaultKind.TILT, np.radians(6.0), at_once(se3.exp([0, 0, 0, 0, np.radians(6.0), 0]))),
+    "a scale of 5 %": (FaultKind.SCALE, -0.048, scaled(1.05)),
+    "a scale of 8 %": (FaultKind.SCALE, -0.074, scaled(1.08)),
+    "a slope of 5 %": (FaultKind.SLOPE, -0.05, climbing(0.05)),
+    "a heading of 0.1 degrees a metre": (
+        FaultKind.HEADING, -np.radians(0.1), lambda _, motion: motion @ se3.from_yaw(np.radians(0.1) * STEP_M)
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", FAULTS)
+def test_a_fault_of_odometry_is_named_and_costs_no_loop_and_no_metre(name: str) -> None:
+    kind, amount, wrong = FAULTS[name]
+    poses = winding_way()
+    graph = PoseGraph.of([odometry("a", poses, 1), odometry("b", poses, 2, wrong)], loops(poses))
+    answer = optimise(graph)
+    assert set(answer.loops) == {LoopState.IN_MAP}
+    assert apart_m(answer) < 0.2
+    assert answer.chi2 < answer.degrees_of_freedom
+    (fault,) = answer.faults
+    assert (fault.session, fault.kind) == ("b", kind)
+    assert fault.amount == pytest.approx(amount, rel=0.1, abs=0.15 if abs(amount) > 1 else 0.005)
+    steady = kind in (FaultKind.SCALE, FaultKind.SLOPE, FaultKind.HEADING)
+    assert (fault.first, fault.last) == ((0, SUBMAPS - 1) if steady else (AT - 1, AT))
+
+
+def test_good_odometry_has_no_fault() -> None:
+    poses = winding_way()
+    graph = PoseGraph.of([odometry("a", poses, 1), odometry("b", poses, 2)], loops(poses))
+    assert optimise(graph).faults == ()
+
+
+def test_what_most_sessions_agree_on_is_believed_even_where_the_faulty_one_gives_the_frame() -> None:
+    poses = winding_way()
+    tracks = [odometry("a", poses, 1, scaled(1.06)), odometry("b", poses, 2), odometry("c", poses, 3)]
+    between = [*loops(poses), *loops(poses, 8, "b", "c"), *loops(poses, 9, "a", "c")]
+    answer = optimise(PoseGraph.of(tracks, between))
+    assert set(answer.loops) == {LoopState.IN_MAP}
+    assert [(one.session, one.kind) for one in answer.faults] == [("a", FaultKind.SCALE)]
+    travelled = np.linalg.norm(np.diff(answer.T_map_submap["a"][:, :3, 3], axis=0), axis=1).sum()
+    assert travelled == pytest.approx(STEP_M * (SUBMAPS - 1), rel=0.01)
+
+
+def test_where_no_loop_tells_the_whole_stretch_is_unsure() -> None:
+    """A slip of 10 m where no loop is, with steps like one another: which of both slipped is not to be told either."""
+    poses = winding_way()
+    silent = range(AT - 2, AT + 2)
+    slipping = odometry("b", poses, 2, lambda number, motion: scaled(0.5)(0, motion) if number in silent else motion)
+    right = [one for one in loops(poses) if one.match.ordinal not in silent]
+    answer = optimise(PoseGraph.of([odometry("a", poses, 1), slipping], right))
+    assert set(answer.loops) == {LoopState.IN_MAP}
+    (fault,) = answer.faults
+    assert fault.first < AT - 1 and fault.last > AT
+    inside = np.sqrt(answer.covariances[fault.session][AT, :3, :3].trace())
+    assert apart_m(answer) < 3.0 * inside
+
+
+def misplaced(stretch: range, aside_m: float) -> list[LoopEdge]:
+    """Loops at every submap, right ones but for a stretch that is taken for one `aside_m` beside it."""
+    poses, aside = winding_way(), se3.from_yaw(0.0, (0.0, aside_m, 0.0))
+    found = loops(poses)
+    for k in stretch:
+        moved = se3.inverse(poses[k]) @ aside @ poses[k] @ found[k].T_match_query
+        found[k] = replace(found[k], name=f"wrong-{k}", T_match_query=moved)
+    return found
+
+
+@pytest.mark.parametrize(
+    ("stretch", "aside_m"),
+    [(range(30, 45), 8.0), (range(65, 80), 8.0), (range(45, 80), 40.0)],
+    ids=["one place", "one place at the end", "a street beside it"],
+)
+def test_a_place_taken_for_another_one_is_no_fault_and_not_in_the_map(stretch: range, aside_m: float) -> None:
+    poses = winding_way()
+    graph = PoseGraph.of([odometry("a", poses, 1), odometry("b", poses, 2)], misplaced(stretch, aside_m))
+    answer = optimise(graph)
+    assert answer.faults == ()
+    kept = {loop.name for loop, state in zip(graph.loops, answer.loops, strict=True) if state is LoopState.IN_MAP}
+    assert not any(name.startswith("wrong") for name in kept)
+
+
+@pytest.mark.parametrize("stretch", [range(25, 50), range(22, 60)])
+def test_odometry_that_would_be_wrong_twice_and_right_again_is_not_at_fault(stretch: range) -> None:
+    poses = winding_way()
+    graph = PoseGraph.of([odometry("a", poses, 1), odometry("b", poses, 2)], misplaced(stretch, 8.0))
+    assert optimise(graph).faults == ()
+
+
+def test_a_fault_is_the_same_in_any_order_to_a_bit() -> None:
+    poses = winding_way()
+    tracks, right = [odometry("a", poses, 1), odometry("b", poses, 2, FAULTS["a slip of 5 m"][2])], loops(poses)
+    one, other = optimise(PoseGraph.of(tracks, right)), optimise(PoseGraph.of(tracks[::-1], right[::-1]))
+    assert one.faults == other.faults
+    for name, its in one.T_map_submap.items():
+        assert its.tobytes() == other.T_map_submap[name].tobytes()
