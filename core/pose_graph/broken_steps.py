@@ -142,7 +142,7 @@ def _odd(track: Trajectory) -> NDArray[np.bool_]:
     way_m = np.median(np.linalg.norm(motions[:, :3, 3], axis=1))
     lengths, turns = np.linalg.norm(apart[:, :3], axis=1), np.linalg.norm(apart[:, 3:], axis=1)
     unlike = (lengths > UNLIKE_SHARE * way_m) | (turns > UNLIKE_RAD)
-    return np.concatenate([[True], unlike]) & np.concatenate([unlike, [True]])
+    return np.asarray(np.concatenate([[True], unlike]) & np.concatenate([unlike, [True]]))
 
 
 @dataclass(frozen=True)

@@ -59,7 +59,7 @@ def trajectory_lines(recording: Recording, corrections: Sequence[Correction]) ->
 
 def _since_first(stamps_ns: Stamps) -> NDArray[np.float64]:
     """Differences of integers: nanoseconds since 1970 exceed what a float64 holds exactly."""
-    return (stamps_ns - stamps_ns[0]).astype(np.float64)
+    return np.asarray(stamps_ns - stamps_ns[0], dtype=np.float64)
 
 
 def _way(poses: Sequence[Matrix4]) -> NDArray[np.float64]:
