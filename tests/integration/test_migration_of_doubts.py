@@ -18,16 +18,16 @@ OLD = {
 
 def test_doubts_of_before_are_gathered_and_spread_again(tmp_path):
     world = sqlite_world(tmp_path)
-    asyncio.run(described(world, first=1, second=1, third=1))
+    asyncio.run(described(world, first=1, away=30, second=1))
     world.context.transactions.close()
     database = tmp_path / "revisit.db"
     migrate(database, "0020")
     run(database, f"UPDATE loop_closures SET evidence = '{json.dumps(OLD)}'")
     migrate(database)
-    ((text,),) = run(database, "SELECT evidence FROM loop_closures")
+    ((text,), *_) = run(database, "SELECT evidence FROM loop_closures")
     told = json.loads(text)
     assert told["measurement"] == OLD["measurement"] and told["doubts"]["BETTER_ALTERNATIVE"] == OLD["outdone"]
     assert told["doubts"].keys() == {"BETTER_ALTERNATIVE", "PAIRWISE_INCONSISTENT"} and "outdone" not in told
     migrate(database, "0020")
-    ((text,),) = run(database, "SELECT evidence FROM loop_closures")
+    ((text,), *_) = run(database, "SELECT evidence FROM loop_closures")
     assert json.loads(text) == {**OLD, "contradicted": {"words": ""}}

@@ -111,7 +111,7 @@ async def test_a_drive_that_comes_back_to_no_place_says_so_until_another_drive_m
     told = await why(world)
     assert told.code == "NONE_ACCEPTED"
     assert told.message.startswith(
-        "3 submaps: 3 pairs were compared and none was accepted, most often for TOO_DIFFERENT (3)"
+        "3 submaps: 3 pairs were compared and none was accepted, most often for LOW_OVERLAP (3)"
     )
     await world.use_cases.posting.post(TENANT, submap("e", 2, tuesday))
     world.work_off()

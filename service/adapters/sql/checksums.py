@@ -1,4 +1,4 @@
-"""A checksum of a row: 64 bits, of which the lower half is of its bytes alone, so that they can be checked alone.
+"""A checksum of a row: 64 bits, of which the lower half is of one value alone, so that it can be checked alone.
 
 No secret is in it: it tells a damaged row, not a forged one (backups are signed, the audit log is chained).
 """
@@ -21,14 +21,14 @@ _LENGTH_BEYOND = 1e-3
 log = structlog.get_logger(__name__)
 
 
-def row_checksum(*values: Value) -> int:
-    """CRC-32 of what is no bytes, above that of the bytes; a signed number of 64 bits.
+def row_checksum(alone: bytes | None, *values: Value) -> int:
+    """CRC-32 of `values`, above that of the bytes that can be checked `alone`; a signed number of 64 bits.
 
     Of single changed bits, and of up to 32 in a row, a CRC misses none; of other changes one in 2^32.
     """
-    data = [value for value in values if isinstance(value, bytes)]
-    others = ascii([len(value) if isinstance(value, bytes) else value for value in values])
-    halves = struct.pack(">II", zlib.crc32(others.encode()), zlib.crc32(b"".join(data)))
+    others = ascii([(len(value), zlib.crc32(value)) if isinstance(value, bytes) else value for value in values])
+    size = None if alone is None else len(alone)
+    halves = struct.pack(">II", zlib.crc32(f"{size} {others}".encode()), zlib.crc32(alone or b""))
     return int.from_bytes(halves, "big", signed=True)
 
 

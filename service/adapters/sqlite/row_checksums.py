@@ -21,6 +21,9 @@ from revisit.service.application.contract.access_ports import AuditRecord
 
 COLUMN = "checksum"
 
+ALONE = {"submaps": "descriptor"}
+"""The column of a table that is checked by itself, wherever it is read."""
+
 
 def add_function(connection: sqlite3.Connection) -> None:
     """Make `row_checksum` known to a connection."""
@@ -113,12 +116,14 @@ def _update(table: str, columns: str) -> str:
 
 
 def _tables(connection: sqlite3.Connection) -> dict[str, str]:
-    """The tables that have a place for checksums, and their other columns, in an order that all have in common."""
+    """The tables that have a place for checksums, and what `row_checksum` is given of their rows."""
     found = {}
     for (table,) in connection.execute("SELECT name FROM sqlite_schema WHERE type = 'table' ORDER BY name").fetchall():
         columns = sorted(row[1] for row in connection.execute(f'PRAGMA table_info("{table}")'))
         if COLUMN in columns:
-            found[table] = ", ".join(f'"{column}"' for column in columns if column != COLUMN)
+            alone = ALONE.get(table)
+            others = [f'"{column}"' for column in columns if column not in (COLUMN, alone)]
+            found[table] = ", ".join(["NULL" if alone is None else f'"{alone}"', *others])
     return found
 
 
