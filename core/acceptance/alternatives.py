@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from revisit.core.acceptance.claim import Doubt, Grounds, LoopClaim, StationInMap
 from revisit.core.acceptance.distinctiveness import SPOT_M, are_one, spot_of
 from revisit.core.config import PipelineConfig
-from revisit.core.verification import RejectionReason
+from revisit.core.pair_verdict import RejectionReason
 
 _LEAST, _SHARE = 4, 0.75
 """So many candidates elsewhere, and so large a share of them, must look alike."""

@@ -14,7 +14,7 @@ from enum import StrEnum
 import numpy as np
 
 from revisit.core.geometry.se3 import Matrix4
-from revisit.core.verification import Hypothesis, LoopMeasurement, PairVerdict, RejectionReason, VerifiedLoop
+from revisit.core.pair_verdict import Hypothesis, LoopMeasurement, PairVerdict, RejectionReason, VerifiedLoop
 
 
 class Doubt(StrEnum):

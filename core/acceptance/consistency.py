@@ -14,7 +14,7 @@ from revisit.core.acceptance.claim import Doubt, Grounds, LoopClaim, by_matched_
 from revisit.core.acceptance.drive_loops import DriveLoops
 from revisit.core.config import VerificationConfig
 from revisit.core.geometry.se3 import Matrix4
-from revisit.core.verification import Hypothesis
+from revisit.core.pair_verdict import Hypothesis
 
 
 def inconsistent(claims: Sequence[LoopClaim], config: VerificationConfig, stride_m: float) -> dict[int, LoopClaim]:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from revisit.core.acceptance.claim import Doubt, Grounds, LoopClaim, by_matched_drive
 from revisit.core.acceptance.drive_loops import frames_between, ways_m
 from revisit.core.geometry.se3 import Matrix4
-from revisit.core.verification import RejectionReason
+from revisit.core.pair_verdict import RejectionReason
 
 LEAST_EVIDENT = 0.36
 """A smaller share is what chance gives where places look alike."""

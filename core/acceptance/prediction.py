@@ -19,7 +19,7 @@ from revisit.core.acceptance.neighbour_support import NeighbourLoop, told_pose
 from revisit.core.config import PipelineConfig
 from revisit.core.geometry import se3
 from revisit.core.geometry.se3 import Matrix4
-from revisit.core.verification import PairVerdict, VerifiedLoop
+from revisit.core.pair_verdict import PairVerdict, VerifiedLoop
 
 _WINDOWS = 3.0
 """Windows between two submaps up to which they share about half of what they have seen. What repeats within that is

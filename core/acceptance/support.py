@@ -16,7 +16,7 @@ from revisit.core.acceptance.drive_loops import DriveLoops
 from revisit.core.acceptance.neighbour_support import NeighbourSupport, find_support
 from revisit.core.config import VerificationConfig
 from revisit.core.geometry.se3 import Matrix4
-from revisit.core.verification import Hypothesis, PairVerdict, VerifiedLoop
+from revisit.core.pair_verdict import Hypothesis, PairVerdict, VerifiedLoop
 
 VerifyNear = Callable[[int, Matrix4], PairVerdict]
 """Verify the pair of the claim in a row again, around a T_match_query (4, 4)."""

@@ -1,16 +1,14 @@
 """Verification of a loop candidate: correspondences, start, registration, evidence, verdict (paper III-E, end)."""
 
-from revisit.core.verification.rivals import Hypothesis
-from revisit.core.verification.verdict import (
+from revisit.core.pair_verdict import (
+    Hypothesis,
     LoopMeasurement,
     PairVerdict,
     RejectedLoop,
     RejectionReason,
     VerifiedLoop,
-    is_degenerate,
-    loop_score,
-    verify,
 )
+from revisit.core.verification.verdict import is_degenerate, loop_score, verify
 
 __all__ = [
     "Hypothesis", "LoopMeasurement", "PairVerdict", "RejectedLoop", "RejectionReason", "VerifiedLoop", "is_degenerate",

@@ -16,6 +16,7 @@ from scipy.ndimage import maximum_filter
 from revisit.core.config import VerificationConfig
 from revisit.core.geometry import se3
 from revisit.core.kernels.plan_images import hit_products, layer_counts, occupied_around, plan_peaks, plan_shares
+from revisit.core.pair_verdict import Hypothesis
 from revisit.core.verification.evidence import mutually_seen_through
 from revisit.core.verification.oriented_points import OrientedPoints, shared_shares
 from revisit.core.verification.registration import iterate_all
@@ -31,14 +32,6 @@ _LAYERS = 4
 _LAYER_M = 1.5
 _LOWEST_M = -2.0
 _NEARLY = 0.99  # counts by correlation are a little off
-
-
-@dataclass(frozen=True)
-class Hypothesis:
-    """A pose T_match_query (4, 4) of a pair, and the overlap 0..1 of the surfaces in it."""
-
-    overlap: float
-    T_match_query: se3.Matrix4
 
 
 @dataclass(frozen=True)

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from dataclasses import astuple, dataclass
-from enum import StrEnum
-from typing import TypeAlias
+from dataclasses import astuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +12,14 @@ from revisit.core.config import VerificationConfig
 from revisit.core.errors import DescriptorModelMismatch
 from revisit.core.geometry import se3
 from revisit.core.geometry.level_frame import motion_between_levels, motion_between_submaps
+from revisit.core.pair_verdict import (
+    Hypothesis,
+    LoopMeasurement,
+    PairVerdict,
+    RejectedLoop,
+    RejectionReason,
+    VerifiedLoop,
+)
 from revisit.core.place import Place
 from revisit.core.scan_disagreement import ScanDisagreement
 from revisit.core.verification.evidence import Evidence, gather_evidence
@@ -21,73 +27,8 @@ from revisit.core.verification.height_doubt import height_doubt_m
 from revisit.core.verification.keypoint_fit import KeypointFit
 from revisit.core.verification.oriented_points import OrientedPoints
 from revisit.core.verification.registration import Registration, observability, reconsider, register
-from revisit.core.verification.rivals import Hypothesis, find_rivals
+from revisit.core.verification.rivals import find_rivals
 from revisit.core.verification.start import find_start, start_at
-
-
-class RejectionReason(StrEnum):
-    """Why a candidate is not a loop."""
-
-    DEGENERATE_PLACE = "DEGENERATE_PLACE"
-    NO_COMMON_REGION = "NO_COMMON_REGION"
-    DEGENERATE_ALIGNMENT = "DEGENERATE_ALIGNMENT"
-    IMPLAUSIBLE_TILT = "IMPLAUSIBLE_TILT"
-    LOW_OVERLAP = "LOW_OVERLAP"
-    SEEN_THROUGH = "SEEN_THROUGH"
-    LOW_SCORE = "LOW_SCORE"
-    AMBIGUOUS = "AMBIGUOUS"
-    PLACE_LOST = "PLACE_LOST"  # the stored place of a submap is damaged
-    FAR_FROM_MAP = "FAR_FROM_MAP"  # a pair sought where its map has it was found elsewhere
-    FAR_FROM_INITIAL_POSE = "FAR_FROM_INITIAL_POSE"  # the initial pose of a merge says otherwise
-
-
-@dataclass(frozen=True)
-class LoopMeasurement:
-    """The evidence for a loop.
-
-    similarity of the descriptors; inliers, keypoints that agree on the first guess of the pose, and inlier_ratio, their
-    share of the correspondences; overlap 0..1 of the surfaces; contrast, how much of it is lost a few metres aside;
-    seen_through 0..1, how much of what stands in one place the other has looked through; rmse_m of the point-to-plane
-    residuals; score 0..1 (`loop_score`);
-    T_match_query (4, 4) maps points of the query submap's frame into the match submap's frame; covariance (6, 6) of its
-    tangent (x, y, z, rx, ry, rz), metres and radians, in the match frame; rivals, other poses that fit about as well,
-    best first, sought only where no more than a low score speaks against the loop; common_share, how much of what
-    stands in the place with less of it lies where the other has seen, and enough_share, how much was asked for.
-    """
-
-    similarity: float
-    inliers: int
-    inlier_ratio: float
-    overlap: float
-    contrast: float
-    seen_through: float
-    rmse_m: float
-    score: float
-    T_match_query: se3.Matrix4
-    covariance: NDArray[np.float64]
-    rivals: tuple[Hypothesis, ...] = ()
-    common_share: float = 0.0
-    enough_share: float = 0.0
-
-
-@dataclass(frozen=True)
-class VerifiedLoop:
-    """The two submaps show the same place."""
-
-    measurement: LoopMeasurement
-
-
-@dataclass(frozen=True)
-class RejectedLoop:
-    """The candidate is not accepted; the measurement is there where the geometry was looked at."""
-
-    reason: RejectionReason
-    measurement: LoopMeasurement | None = None
-    message: str | None = None
-
-
-PairVerdict: TypeAlias = VerifiedLoop | RejectedLoop
-"""The verdict on a pair of submaps by itself."""
 
 
 def verify(

@@ -15,6 +15,7 @@ from revisit.core.implicit_map import NeuralMap
 from revisit.core.kernels.intermediate_code import pack_intermediate_code
 from revisit.core.kernels.plane_votes import plane_scores
 from revisit.core.model_bundle import ModelBundle, load_packaged_models
+from revisit.core.pair_verdict import PairVerdict
 from revisit.core.pipeline import describe_again, describe_fitted, fit, verify
 from revisit.core.place import Place
 from revisit.core.sanity.window import window_findings
@@ -23,7 +24,6 @@ from revisit.core.scan_disagreement import ScanDisagreement
 from revisit.core.stages import stage_times
 from revisit.core.submap import Submap
 from revisit.core.surface import extract_surface
-from revisit.core.verification import PairVerdict
 from revisit.service.adapters.rehearsal import accompany, rehearse
 from revisit.service.application.contract.recogniser import Mesh, Redescription, SubmapDescription
 from revisit.service.large_blocks import return_free_memory

@@ -28,7 +28,7 @@ from revisit.core.acceptance import (
 )
 from revisit.core.config import PipelineConfig, VerificationConfig
 from revisit.core.geometry.se3 import Matrix4, pose_matrix
-from revisit.core.verification import (
+from revisit.core.pair_verdict import (
     Hypothesis,
     LoopMeasurement,
     PairVerdict,

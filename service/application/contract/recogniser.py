@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from revisit.core.config import PipelineConfig
 from revisit.core.geometry.se3 import Matrix4
+from revisit.core.pair_verdict import PairVerdict
 from revisit.core.scan import Scan
 from revisit.core.submap import Submap
-from revisit.core.verification import PairVerdict
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from revisit.core.geometry import se3
 from revisit.core.geometry.se3 import Matrix4, pose_row
-from revisit.core.verification import LoopMeasurement, PairVerdict, RejectedLoop, VerifiedLoop
+from revisit.core.pair_verdict import LoopMeasurement, PairVerdict, RejectedLoop, VerifiedLoop
 from revisit.service.application.contract.map_frames import frame_name
 from revisit.service.application.contract.map_merger import (
     AlignedMaps,

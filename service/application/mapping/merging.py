@@ -13,7 +13,7 @@ from revisit.core.config import PipelineConfig
 from revisit.core.errors import DataLoss
 from revisit.core.geometry import se3
 from revisit.core.geometry.se3 import Matrix4
-from revisit.core.verification import PairVerdict, RejectedLoop, RejectionReason, VerifiedLoop
+from revisit.core.pair_verdict import PairVerdict, RejectedLoop, RejectionReason, VerifiedLoop
 from revisit.service.application.contract.blobs import NEURAL_MAP_BLOB, PLACE_BLOB, BlobStore
 from revisit.service.application.contract.clock import Clock
 from revisit.service.application.contract.errors import Unavailable

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from revisit.core.geometry.se3 import Matrix4, pose_matrix, pose_row
-from revisit.core.verification import PairVerdict, RejectedLoop, VerifiedLoop
+from revisit.core.pair_verdict import PairVerdict, RejectedLoop, VerifiedLoop
 from revisit.service.application.contract.clock import Instant
 from revisit.service.application.contract.job_queue import Lease
 from revisit.service.application.contract.loop_claims import rules_of, verdict_evidence

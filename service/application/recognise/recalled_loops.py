@@ -16,7 +16,7 @@ import numpy as np
 
 from revisit.core.geometry import se3
 from revisit.core.geometry.se3 import Matrix4, pose_matrix, pose_row
-from revisit.core.verification import PairVerdict, RejectedLoop, RejectionReason, VerifiedLoop
+from revisit.core.pair_verdict import PairVerdict, RejectedLoop, RejectionReason, VerifiedLoop
 from revisit.service.application.contract.clock import Instant
 from revisit.service.application.contract.identity import TenantId
 from revisit.service.application.contract.job_queue import Lease

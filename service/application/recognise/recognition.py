@@ -28,10 +28,10 @@ from revisit.core.acceptance import (
 from revisit.core.config import PipelineConfig
 from revisit.core.errors import DataLoss, DescriptorModelMismatch, ErrorCode, RevisitError
 from revisit.core.geometry.se3 import Matrix4, pose_matrix
+from revisit.core.pair_verdict import PairVerdict, RejectedLoop, RejectionReason, VerifiedLoop
 from revisit.core.scan import Scan
 from revisit.core.submap import Submap
 from revisit.core.upright import levelling
-from revisit.core.verification import PairVerdict, RejectedLoop, RejectionReason, VerifiedLoop
 from revisit.service.application.catalogue.deletion import SUBMAP_DELETED
 from revisit.service.application.catalogue.maps import model_for_map
 from revisit.service.application.catalogue.mesh_making import MeshMaking
