@@ -338,7 +338,7 @@ SABOTAGES = (
         "what is deleted stays in the index",
         {
             f"{ADAPTERS}sql.change_log:SqlChangeLog.record_session_removed": nothing,
-            f"{ADAPTERS}memory.repositories:MemoryChangeLog.record_session_removed": nothing,
+            "tests.support.memory.repositories:MemoryChangeLog.record_session_removed": nothing,
         },
         f"{DELETION}test_a_deleted_session_takes_its_submaps_and_loops_and_nothing_else",
     ),
@@ -468,7 +468,7 @@ SABOTAGES = (
     Sabotage(
         "min_seq is compared with the submaps of all tenants",
         {
-            f"{ADAPTERS}memory.repositories:MemorySubmaps.last_number": lambda _last: (
+            "tests.support.memory.repositories:MemorySubmaps.last_number": lambda _last: (
                 lambda self, _tenant: self._rows.last
             )
         },

@@ -78,29 +78,29 @@ async def test_the_keypoints_of_loops_cost_quota_found_or_not(world):
 
 
 async def test_a_file_costs_what_it_takes_to_make(world, monkeypatch):
-    """A scene in glb keeps a core busy for hundreds of milliseconds."""
+    """The points of a large submap keep a core busy for a while."""
     await described(world, a=1)
 
-    def slowly(*_mesh):
+    def slowly(*_cloud):
         began_s = time.thread_time()
         while time.thread_time() - began_s < 0.06:
             pass
-        return b"glTF"
+        return b"# .PCD"
 
-    monkeypatch.setattr(downloads, "encode_scene", slowly)
+    monkeypatch.setattr(downloads, "encode_pcd", slowly)
     key = submap("a", 1).key
     for _ in range(2):
-        assert (await world.use_cases.submaps.download(TENANT, key, DownloadKind.MESH, "glb")).data
+        assert (await world.use_cases.submaps.download(TENANT, key, DownloadKind.POINTS)).data
     with pytest.raises(RateLimited):
-        await world.use_cases.submaps.download(TENANT, key, DownloadKind.MESH, "glb")
+        await world.use_cases.submaps.download(TENANT, key, DownloadKind.POINTS)
 
 
 async def test_a_file_that_cannot_be_made_costs_what_was_tried(world):
     await described(world, a=1)
     key = submap("a", 1).key
     with pytest.raises(UnsupportedEncoding):
-        await world.use_cases.submaps.download(TENANT, key, DownloadKind.MESH, "obj")
-    assert (await world.use_cases.submaps.download(TENANT, key, DownloadKind.MESH)).data
+        await world.use_cases.submaps.download(TENANT, key, DownloadKind.POINTS, "obj")
+    assert (await world.use_cases.submaps.download(TENANT, key, DownloadKind.POINTS)).data
 
 
 async def test_a_list_costs_by_the_row(world):

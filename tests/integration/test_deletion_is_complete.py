@@ -31,7 +31,7 @@ async def test_no_byte_of_what_was_deleted_is_left(tmp_path, what):
     world = sqlite_world(tmp_path)
     await described(world, secret=1, kept=2)
     secret, kept = traces(world, "secret"), traces(world, "kept")
-    assert len(secret) == 6
+    assert len(secret) == 5
     assert all(holds(tmp_path, trace) for trace in [*secret, *kept])
     if what == "submap":
         await world.use_cases.submaps.delete(TENANT, submap("secret", 1).key)
@@ -40,6 +40,6 @@ async def test_no_byte_of_what_was_deleted_is_left(tmp_path, what):
     else:
         await world.use_cases.maps.delete(TENANT, SESSION.map_id)
     world.context.transactions.close()
-    assert [holds(tmp_path, trace) for trace in secret] == [False] * 6
-    assert [holds(tmp_path, trace) for trace in kept] == [what == "submap"] * 6
+    assert [holds(tmp_path, trace) for trace in secret] == [False] * 5
+    assert [holds(tmp_path, trace) for trace in kept] == [what == "submap"] * 5
     assert holds(tmp_path, f"{what}_deleted".encode()), "the audit log does not tell of it"

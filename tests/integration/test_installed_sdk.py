@@ -196,7 +196,8 @@ def test_the_sdk_posts_and_streams_with_the_numpy_of_ros_2_jazzy(environment_of_
 
 def test_the_command_says_in_one_line_what_to_install(environment, project, tmp_path):
     def told(*words: str) -> str:
-        (line,) = run([str(environment / "bin/revisit"), *words], project, status=1).stderr.splitlines()
+        # On a busy machine lines before it say that something is under way.
+        *_, line = run([str(environment / "bin/revisit"), *words], project, status=1).stderr.splitlines()
         return line
 
     assert told("--help") == "revisit: typer is not installed; this needs: pip install 'revisit-loops[cli]'"

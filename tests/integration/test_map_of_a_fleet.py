@@ -8,13 +8,15 @@ import pytest
 
 from revisit import Client
 from revisit.core.pose_graph import PoseGraph, Robustness, optimise
+from revisit.service.application import SessionKey
+from revisit.service.application.catalogue.sessions import CreateSession
 from revisit.service.application.mapping import optimisation
 from revisit.service.application.mapping.optimisation import drop_waiting
 from revisit.service.failpoints import FailpointReached, arm
 from tests.support.fleet_in_service import fleet_in
 from tests.support.live_service import live_service
 from tests.support.patience import PATIENCE_S
-from tests.support.service_world import TENANT, described, memory_world
+from tests.support.service_world import TENANT, described, memory_world, open_session, submap
 
 
 def clean_error_m(fleet) -> float:
@@ -64,7 +66,13 @@ def waiting(world):
 
 async def test_a_map_is_optimised_by_itself_once_its_new_loops_have_settled():
     world = memory_world(optimise_after_loops=1, optimise_delay_ms=5000)
-    await described(world, a=1, b=2, c=1, d=1)
+    await open_session(world)
+    for name, place in (("a", 1), ("b", 2), ("c", 1), ("d", 1)):
+        await world.use_cases.posting.post(TENANT, submap(name, place))
+    await world.use_cases.sessions.create(TENANT, CreateSession("town", "tuesday"))
+    # It meets b, and is compared with the others in vain.
+    await world.use_cases.posting.post(TENANT, submap("e", 2, SessionKey("town", "tuesday")))
+    world.work_off()
     (job,) = waiting(world)
     assert world.work_off() == 0
     world.clock.ms += 4999
@@ -137,9 +145,9 @@ async def test_a_graph_that_loses_a_session_while_it_is_optimised_is_read_again(
 
 
 def delete_one(uow, map_id):
-    from revisit.service.application.catalogue.deletion import delete_session
+    from revisit.service.application.catalogue.deletion import mark_session
 
-    delete_session(uow, uow.maps.get(TENANT, map_id), uow.sessions.get(TENANT, map_id, "s1"), 1)
+    mark_session(uow, uow.maps.get(TENANT, map_id), uow.sessions.get(TENANT, map_id, "s1"), 1)
 
 
 async def test_a_revert_is_not_undone_by_an_optimisation_that_was_under_way():

@@ -60,7 +60,7 @@ async def test_two_workers_that_describe_both_sides_of_a_loop_at_once_find_it_on
 
 async def test_the_loop_is_found_when_the_match_is_committed_after_the_search(world):
     """The interleaving itself, forced: c has searched and verifies, a is committed, c comes to commit."""
-    await posted(world, old=3, a=1, b=2, c=1)
+    await posted(world, old=9, a=1, b=12, c=1)
     lease_old, lease_a, _, lease_c = (world.claim(f"w{number}") for number in range(4))
     world.worker().run(lease_old)
     similarities = []

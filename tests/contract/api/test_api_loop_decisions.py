@@ -31,15 +31,17 @@ def history(client, loop):
 def test_a_verdict_is_the_first_event_of_a_loop(client, loops):
     (event,) = client.loop_closure_events(loops["ACCEPTED"])
     assert (event.kind, event.state, event.actor, event.note) == ("VERIFIED", "ACCEPTED", "service", "")
-    assert event.details == {"model_version": "fake-1"}
+    told = {name: loops["ACCEPTED"].evidence[name] for name in ("model_version", "thresholds", "thresholds_version")}
+    assert event.details == told and told["model_version"] == "fake-1"
     assert event.at_ns == loops["ACCEPTED"].created_at_ns
     np.testing.assert_allclose(event.T_match_query, loops["ACCEPTED"].T_match_query)
 
 
-def test_a_client_that_names_no_state_is_told_the_accepted_loops_alone(client, loops, town):
+def test_a_client_that_names_no_state_is_told_the_accepted_loops_alone(client, session, loops, town):
+    client.wait(client.post_submap(session, "d", cloud_points(3), pose(20.5), 1))  # back at b, and unlike it
+    rejected = client.loop_closures(town, state="REJECTED")[0]
     assert {loop.state for loop in client.loop_closures(town, state="ALL")} == {"ACCEPTED", "REJECTED"}
     assert [loop.name for loop in client.loop_closures(town)] == [loops["ACCEPTED"].name]
-    rejected = loops["REJECTED"]
     assert rejected.name in {loop.name for loop in client.loop_closures(town, reason=rejected.reason)}
 
 
