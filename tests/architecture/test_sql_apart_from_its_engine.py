@@ -16,6 +16,7 @@ from revisit.service.adapters.sql import (
     blob_addresses,
     change_log,
     jobs,
+    loops,
     repositories,
     tables,
     turns,
@@ -63,6 +64,7 @@ CALLS = {
     "SqlSubmaps.flag_counts": lambda uow: uow.submaps.flag_counts(TENANT, "town", "monday"),
     "SqlSubmaps.found": lambda uow: uow.submaps.found(TENANT, [1]),
     "SqlSubmaps.path": lambda uow: [uow.submaps.path(TENANT, "town", "monday", 0, 5, back=back) for back in (0, 1)],
+    "SqlLoops.telling": lambda uow: uow.loops.telling(TENANT, [1, 2], ["AMBIGUOUS"]),
     "SqlLoops.reasons": lambda uow: uow.loops.reasons(TENANT, [1, 2]),
     "SqlSubmaps.first_waiting": lambda uow: uow.submaps.first_waiting(TENANT, "town"),
     "SqlJobs.unfinished": lambda uow: uow.jobs.unfinished(TENANT, {"op-1", "op-2"}),
@@ -116,7 +118,7 @@ def for_postgresql(statement) -> str:
 
 
 def test_every_method_of_the_repositories_is_called():
-    modules = (access, change_log, jobs, repositories, turns, worker_log)
+    modules = (access, change_log, jobs, loops, repositories, turns, worker_log)
     public = {
         f"{name}.{method}"
         for module in modules

@@ -34,10 +34,13 @@ def keep_checksums(connection: sqlite3.Connection) -> None:
     """From now on every row that this connection writes gets its checksum, in every table that has a place for it."""
     add_function(connection)
     for table, columns in _tables(connection).items():
-        for event in ("INSERT", "UPDATE"):
-            update = f"{_update(table, columns)} WHERE rowid = NEW.rowid"
+        update = f"{_update(table, columns)} WHERE rowid = NEW.rowid"
+        # What the first trigger writes is no change for the second.
+        for event, when in (("INSERT", ""), ("UPDATE", f"WHEN NEW.{COLUMN} IS OLD.{COLUMN}")):
             name = f"checksum_{table}_{event}"
-            connection.execute(f'CREATE TEMP TRIGGER "{name}" AFTER {event} ON main."{table}" BEGIN {update}; END')
+            connection.execute(
+                f'CREATE TEMP TRIGGER "{name}" AFTER {event} ON main."{table}" {when} BEGIN {update}; END'
+            )
 
 
 def seal(connection: sqlite3.Connection) -> None:

@@ -157,7 +157,7 @@ def test_the_systemd_unit_starts_a_command_that_the_service_has():
     )
     unit = printed.stdout
     assert f"ExecStart={sys.executable} " in unit and "WantedBy=multi-user.target" in unit
-    module, command = re.search(r"^ExecStart=\S+/python -m (\S+) (\S+)$", unit, re.MULTILINE).groups()
+    module, command = re.search(r"^ExecStart=\S+/python -P -m (\S+) (\S+)$", unit, re.MULTILINE).groups()
     done = subprocess.run([sys.executable, "-m", module, command, "--help"], cwd=ROOT, capture_output=True, check=False)
     assert done.returncode == 0, done.stderr
 
