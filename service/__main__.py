@@ -10,8 +10,6 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import structlog
-
 from revisit.service import ONE_THREAD, VERSION
 from revisit.service.worker.optional_libraries import leave_out_optional_libraries
 
@@ -115,6 +113,8 @@ def _run(options: argparse.Namespace, settings: Settings) -> int:
 
 def _tell_start(command: str) -> None:
     """The first line of the log: what is imported next takes seconds."""
+    import structlog  # not before a worker has left out what it would bring
+
     structlog.get_logger(__name__).info("starting", command=command, version=VERSION)
 
 

@@ -56,7 +56,7 @@ def page(chromium, service):
 
 def loops_of(service, town="maps/town"):
     with Client(service.http) as client:
-        return client.loop_closures(town)
+        return client.loop_closures(town, state="ALL")
 
 
 def test_everything_of_the_map_is_drawn_and_nobody_else_is_asked(page, service):

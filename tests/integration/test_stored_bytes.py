@@ -11,12 +11,14 @@ import pytest
 
 from revisit.core.verification import RejectedLoop
 from revisit.service.adapters.core_recogniser import load_recogniser
+from revisit.service.application.catalogue.maps import CreateMap
 from revisit.service.application.catalogue.paging import PageRequest
+from revisit.service.application.catalogue.sessions import CreateSession
 from revisit.service.application.contract.loop_claims import TELLING, verdict_evidence
 from revisit.service.application.contract.states import LoopState
 from tests.contract.test_place_recogniser import CONFIG, TILTED, seen_from
 from tests.support.fake_recogniser import FakeRecogniser
-from tests.support.service_world import TENANT, described, posted, sqlite_world
+from tests.support.service_world import SESSION, TENANT, described, posted, sqlite_world, submap
 from tests.support.stored_rows import run
 
 SUBMAPS = 30
@@ -59,7 +61,10 @@ class Rejecting(FakeRecogniser):
 
 async def stored_pairs(world, verdict: RejectedLoop) -> int:
     """Describe submaps that are all compared with others, with this verdict; how many pairs there are."""
-    await posted(world, **{f"s{number}": number for number in range(SUBMAPS)})
+    await world.use_cases.maps.create(TENANT, CreateMap(SESSION.map_id, leave_distance_m=0.0))
+    await world.use_cases.sessions.create(TENANT, CreateSession(SESSION.map_id, SESSION.session_id))
+    for number in range(SUBMAPS):
+        await world.use_cases.posting.post(TENANT, submap(f"s{number}", number))
     world.work_off(Rejecting(verdict))
     return int(run(world.home / "revisit.db", "SELECT count(*) FROM loop_closures")[0][0])
 
@@ -98,7 +103,7 @@ async def test_what_people_are_told_of_a_rejected_pair_is_kept(world, rejected):
 @pytest.mark.parametrize("reason", TELLING)
 async def test_the_evidence_of_a_pair_that_decides_about_others_is_kept_to_the_bit(world, rejected, reason):
     verdict = replace(rejected, reason=reason)
-    await posted(world, a=1, b=2, c=3)
+    await posted(world, a=1, b=12, c=1)
     world.work_off(Rejecting(verdict))
     (loop,) = (await world.use_cases.loops.list(TENANT, "town", PageRequest())).items
     assert loop.reason == reason

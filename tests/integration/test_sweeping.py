@@ -84,4 +84,4 @@ async def test_what_was_deleted_during_a_backup_goes_with_the_next_sweep(world, 
         assert len(files(tmp_path)) == 6
     age(tmp_path)
     assert await sweep(world.context.storage) == 3
-    assert len(files(tmp_path)) == 4
+    assert len(files(tmp_path)) == 3
