@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
 from revisit.core.acceptance import (
+    TELLING,
     Drive,
     LoopClaim,
     PredictedPoses,
@@ -22,15 +23,13 @@ from revisit.core.acceptance import (
 from revisit.core.config import PipelineConfig
 from revisit.core.geometry import se3
 from revisit.core.index import Match
-from revisit.core.verification import PairVerdict, RejectionReason, VerifiedLoop
+from revisit.core.verification import PairVerdict, VerifiedLoop
 from revisit.evaluation.described_submaps import DescribedSubmap, in_processes
 from revisit.evaluation.loop_closure_method import verdict_of_pair
 from revisit.evaluation.matching import QueryMatches, RankedCandidate, pose_error, ranked_candidate
 
 RIGHT_M, RIGHT_DEG = 2.0, 5.0
 """A pose farther off is false."""
-
-_TELLING = RejectionReason.AMBIGUOUS, RejectionReason.LOW_SCORE
 
 
 @runtime_checkable
@@ -158,7 +157,7 @@ def _accepted(
 
 
 def _says(claim: LoopClaim) -> bool:
-    return claim.T_match_query is not None and (claim.accepted or claim.reason in _TELLING)
+    return claim.T_match_query is not None and (claim.accepted or claim.reason in TELLING)
 
 
 def station(place: DescribedSubmap) -> Station:

@@ -11,6 +11,7 @@ rules               all of them, in order
 """
 
 from revisit.core.acceptance.claim import (
+    TELLING,
     Distinctiveness,
     Doubt,
     Grounds,
@@ -24,6 +25,7 @@ from revisit.core.acceptance.rules import Decided, Drive, accept, accept_cloud, 
 from revisit.core.acceptance.support import VerifyNear
 
 __all__ = [
-    "Decided", "Distinctiveness", "Doubt", "Drive", "Grounds", "LoopClaim", "PredictedPoses", "Station", "StationInMap",
-    "Support", "VerifyNear", "accept", "accept_cloud", "stride_of_drive", "submaps_asked", "verify_in_turn",
+    "TELLING", "Decided", "Distinctiveness", "Doubt", "Drive", "Grounds", "LoopClaim", "PredictedPoses", "Station",
+    "StationInMap", "Support", "VerifyNear", "accept", "accept_cloud", "stride_of_drive", "submaps_asked",
+    "verify_in_turn",
 ]  # fmt: skip

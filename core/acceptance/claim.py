@@ -195,6 +195,9 @@ class LoopClaim:
         return replace(self, doubts={one: grounds for one, grounds in self.doubts.items() if one not in doubts})
 
 
+TELLING = RejectionReason.AMBIGUOUS, RejectionReason.LOW_SCORE
+"""Reasons of rejected pairs that say of a pose whether pairs pass at it: with the accepted ones, what a drive tells."""
+
 _OF_A_PASSED_PAIR = frozenset(
     {
         Doubt.PAIRWISE_INCONSISTENT,

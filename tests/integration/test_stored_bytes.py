@@ -9,12 +9,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from revisit.core.acceptance import TELLING
 from revisit.core.verification import RejectedLoop
 from revisit.service.adapters.core_recogniser import load_recogniser
 from revisit.service.application.catalogue.maps import CreateMap
 from revisit.service.application.catalogue.paging import PageRequest
 from revisit.service.application.catalogue.sessions import CreateSession
-from revisit.service.application.contract.loop_claims import TELLING, verdict_evidence
+from revisit.service.application.contract.loop_claims import verdict_evidence
 from revisit.service.application.contract.states import LoopState
 from tests.contract.test_place_recogniser import CONFIG, TILTED, seen_from
 from tests.support.fake_recogniser import FakeRecogniser

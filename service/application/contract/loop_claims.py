@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from revisit.core.acceptance import (
+    TELLING,
     Doubt,
     Drive,
     Grounds,
@@ -41,9 +42,6 @@ from revisit.service.application.contract.states import GraphState, LoopState
 from revisit.service.application.contract.transactions import UnitOfWork
 
 Evidence = dict[str, Any]
-
-TELLING = RejectionReason.AMBIGUOUS, RejectionReason.LOW_SCORE
-"""Reasons of rejected loops that say of a pose whether pairs pass at it."""
 
 SETTABLE = ("min_score", "min_overlap", "max_seen_through")
 """The thresholds that an operator may set (see `contract.loop_policy`): written beside each verdict."""

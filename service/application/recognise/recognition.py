@@ -307,6 +307,8 @@ class Recognition:
         config: PipelineConfig,
     ) -> tuple[Decided, list[LoopRecord]]:
         """The claims of `submap` on `places` judged with its drive before it; and the rows of the earlier claims."""
+        if not any(claim.hypotheses for claim in new):
+            return Decided(new, {}), []  # then the drive before it need not be read
         before = self._transactions.read(partial(drive_before, submap=submap, config=config)).result()
         pairs = [
             *(
