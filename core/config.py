@@ -137,10 +137,10 @@ class SubmapConfig(Section):
     max_range: float = parameter(80.0, "m", "PIN-SLAM", "returns beyond this range are not used")
     min_range: float = parameter(1.0, "m", "own", "returns nearer than this hit the robot itself", low=0)
     scans_per_tau: int = parameter(
-        10, "scans", "own, decision 0150", "of a window's scans those tau over this apart are described", high=1000
+        10, "scans", "own, decision 0151", "of a window's scans those tau over this apart are described", high=1000
     )
     enough_returns: int = parameter(
-        300_000, "returns", "own, decision 0150", "where those hold fewer, further scans are, evenly spread", low=0
+        300_000, "returns", "own, decision 0151", "where those hold fewer, further scans are, evenly spread", low=0
     )
 
     def __post_init__(self) -> None:
@@ -161,7 +161,7 @@ class ImplicitMapConfig(Section):
         2, "voxels", "own", "neighbours are sought among the voxels within this distance", high=8
     )
     max_points: int = parameter(
-        80_000, "points", "own, decisions 0110 and 0151", "most neural points of a submap; the farthest are left out"
+        80_000, "points", "own, decision 0151", "most neural points of a submap; the farthest are left out"
     )
     weight_power: float = parameter(
         2.0, "1", "own, decision 0115; paper Eq. 3: 1", "power of the inverse distance weight", low=0
@@ -281,13 +281,13 @@ class BevConfig(Section):
     amplitude_power: float = parameter(
         0.5, "1", "own", "weight of a pixel is this power of its filter amplitude", low=0
     )
-    layout_power: float = parameter(2.0, "1", "own, decision 0006", "intensities are raised to this power", low=0)
-    layout_blur: float = parameter(1.0, "px", "own, decision 0006", "standard deviation of the blur", low=0)
-    layout_radii: int = parameter(24, "1", "own, decision 0006", "frequencies of the layout spectrum")
-    layout_angles: int = parameter(60, "1", "own, decision 0006", "angles of the layout spectrum over half a turn")
-    layout_frequency: float = parameter(0.2, "cycles/px", "own, decision 0006", "highest frequency", high=0.5)
+    layout_power: float = parameter(2.0, "1", "own, decision 0017", "intensities are raised to this power", low=0)
+    layout_blur: float = parameter(1.0, "px", "own, decision 0017", "standard deviation of the blur", low=0)
+    layout_radii: int = parameter(24, "1", "own, decision 0017", "frequencies of the layout spectrum")
+    layout_angles: int = parameter(60, "1", "own, decision 0017", "angles of the layout spectrum over half a turn")
+    layout_frequency: float = parameter(0.2, "cycles/px", "own, decision 0017", "highest frequency", high=0.5)
     layout_harmonics: int = parameter(
-        6, "1", "own, decision 0006", "harmonics over the angle, beside their mean", low=0
+        6, "1", "own, decision 0017", "harmonics over the angle, beside their mean", low=0
     )
 
     def __post_init__(self) -> None:
@@ -322,15 +322,15 @@ class SpectrumConfig(Section):
 
     section: ClassVar[str] = "spectra"
 
-    headings: int = parameter(72, "1", "own, decision 0015", "headings, over a turn for faces, over half for the plan")
+    headings: int = parameter(72, "1", "own, decision 0017", "headings, over a turn for faces, over half for the plan")
     reach: float = parameter(65.0, "m", "own, decision 0017", "weights fall to zero at this distance")
-    spacing: float = parameter(1.0, "m", "own, decision 0015", "bin of a profile")
+    spacing: float = parameter(1.0, "m", "own, decision 0017", "bin of a profile")
     sharpness: float = parameter(
-        4.0, "1", "own, decision 0015", "power of the cosine by which a face counts for a heading near its own", low=0
+        4.0, "1", "own, decision 0017", "power of the cosine by which a face counts for a heading near its own", low=0
     )
-    frequencies: int = parameter(24, "1", "own, decision 0015", "frequencies of a spectrum")
-    highest: float = parameter(0.25, "cycles/m", "own, decision 0015", "highest frequency")
-    harmonics: int = parameter(12, "1", "own, decision 0015", "harmonics over the heading, beside their mean", low=0)
+    frequencies: int = parameter(24, "1", "own, decision 0017", "frequencies of a spectrum")
+    highest: float = parameter(0.25, "cycles/m", "own, decision 0017", "highest frequency")
+    harmonics: int = parameter(12, "1", "own, decision 0017", "harmonics over the heading, beside their mean", low=0)
     neighbours: int = parameter(
         1, "1", "own, decision 0017", "higher frequencies with which each one's harmonics are compared in phase", low=0
     )
@@ -356,20 +356,20 @@ class FusionConfig(Section):
     local_size: int = parameter(64, "1", "own", "principal components kept of a patch histogram")
     macro_centres: int = parameter(128, "1", "own", "codebook size of the BEV patches")
     micro_centres: int = parameter(16, "1", "method notes", "codebook size of the cluster histograms")
-    macro_size: int = parameter(196, "1", "own, decision 0007", "length of the BEV part")
-    micro_size: int = parameter(30, "1", "own, decision 0007", "length of the VLAD of the cluster part")
+    macro_size: int = parameter(196, "1", "own, decision 0017", "length of the BEV part")
+    micro_size: int = parameter(30, "1", "own, decision 0017", "length of the VLAD of the cluster part")
     spectrum_size: int = parameter(330, "1", "own, decision 0017", "length of the normal spectrum in the cluster part")
-    layout_size: int = parameter(168, "1", "own, decision 0006", "length of the layout part")
+    layout_size: int = parameter(168, "1", "own, decision 0017", "length of the layout part")
     plan_size: int = parameter(300, "1", "own, decision 0017", "length of the plan part")
     macro_weight: float = parameter(0.4, "1", "paper Eq. 14, lambda_B", "weight of the BEV part", low=0)
     micro_weight: float = parameter(0.7, "1", "paper Eq. 14, lambda_G", "weight of the cluster part", low=0)
     histogram_share: float = parameter(
-        0.3, "1", "own, decision 0015", "weight of the VLAD beside the normal spectrum", low=0
+        0.3, "1", "own, decision 0017", "weight of the VLAD beside the normal spectrum", low=0
     )
     spectrum_weight: float = parameter(
-        1.0, "1", "own, decision 0015; paper: 0", "weight of the normal spectrum within the cluster part", low=0
+        1.0, "1", "own, decision 0017; paper: 0", "weight of the normal spectrum within the cluster part", low=0
     )
-    layout_weight: float = parameter(0.7, "1", "own, decision 0006", "weight of the layout part", low=0)
+    layout_weight: float = parameter(0.7, "1", "own, decision 0017", "weight of the layout part", low=0)
     plan_weight: float = parameter(0.7, "1", "own, decision 0017", "weight of the plan part", low=0)
     literal_saliency: bool = parameter(False, "", "paper Eq. 13", "weigh cluster histograms before assignment")
 
@@ -412,7 +412,7 @@ class LoopConfig(Section):
     enough: int = parameter(
         4,
         "loops",
-        "own, decision 0205",
+        "own, decision 0161",
         "accepted loops of a submap that agree where another candidate lies, so that it is not compared; 0: all are",
         low=0,
     )
@@ -437,35 +437,35 @@ class VerificationConfig(Section):
         25.0, "deg", "own", "largest error of the yaw that a correspondence implies", high=180
     )
     sure_inliers: int = parameter(25, "keypoints", "own", "below, poses by phase correlation are tried too", low=0)
-    starts: int = parameter(2, "poses", "own, decision 0204", "most planar poses that are refined by ICP")
+    starts: int = parameter(2, "poses", "own, decision 0024", "most planar poses that are refined by ICP")
     correlation_pixel: float = parameter(0.8, "m", "own", "pixel of the images for phase correlation")
     correlation_turns: int = parameter(
-        2, "yaws", "own, decision 0204", "yaws tried by phase correlation, each in both directions", low=0
+        2, "yaws", "own, decision 0024", "yaws tried by phase correlation, each in both directions", low=0
     )
     opposite_share: float = parameter(
         0.95,
         "1",
-        "own, decision 0277",
+        "own, decision 0024",
         "share of the best correlation from which on the opposite direction is one more start",
         low=0,
         high=1,
     )
     opposite_clear: float = parameter(
-        0.6, "1", "own, decision 0277", "unless another turn reaches this share of it", low=0, high=1
+        0.6, "1", "own, decision 0024", "unless another turn reaches this share of it", low=0, high=1
     )
     coarse_rounds: int = parameter(10, "steps", "own", "coarse ICP steps", low=0)
     first_rounds: int = parameter(
-        2, "steps", "own, decision 0204", "coarse ICP steps from each start, then the best goes on alone", low=0
+        2, "steps", "own, decision 0024", "coarse ICP steps from each start, then the best goes on alone", low=0
     )
     coarse_share: int = parameter(5, "points", "own", "coarse steps use every so many-th point")
     coarse_distance: float = parameter(3.0, "m", "own", "reach of the coarse ICP steps")
     min_agreement: float = parameter(
-        0.1, "1", "own, decision 0121", "share of points on the other surface below which ICP ends early", low=0
+        0.1, "1", "own, decision 0018", "share of points on the other surface below which ICP ends early", low=0
     )
     min_coarse_overlap: float = parameter(
         0.75,
         "1",
-        "own, decision 0204",
+        "own, decision 0024",
         "part of min_overlap that the coarse steps must reach, else ICP ends early",
         low=0,
         high=1,
@@ -475,12 +475,12 @@ class VerificationConfig(Section):
     neighbour_distance: float = parameter(1.0, "m", "own", "a surface point has its counterpart within this distance")
     surface_distance: float = parameter(0.25, "m", "own", "and lies this near to its tangent plane")
     contrast_shifts: tuple[float, ...] = parameter(
-        (2.5, 4.0, 6.0), "m", "own, decision 0016", "moves along the weakest direction that a loop must not survive"
+        (2.5, 4.0, 6.0), "m", "own, decision 0018", "moves along the weakest direction that a loop must not survive"
     )
     min_contrast: float = parameter(
         0.08,
         "1",
-        "own, decision 0016",
+        "own, decision 0018",
         "smallest overlap that such a move must cost, else the pose is not fixed",
         low=0,
         high=1,
@@ -508,15 +508,15 @@ class VerificationConfig(Section):
     min_common_share_sure: float = parameter(
         0.2,
         "1",
-        "own, decision 0228",
+        "own, decision 0018",
         "the same where overlap and score are beyond doubt: sensors that see unlike parts of a place",
         low=0,
         high=1,
     )
-    sure_overlap: float = parameter(0.4, "1", "own, decision 0228", "overlap beyond doubt", low=0, high=1)
-    sure_score: float = parameter(0.95, "1", "own, decision 0228", "score beyond doubt", low=0, high=1)
+    sure_overlap: float = parameter(0.4, "1", "own, decision 0018", "overlap beyond doubt", low=0, high=1)
+    sure_score: float = parameter(0.95, "1", "own, decision 0018", "score beyond doubt", low=0, high=1)
     max_tilt: float = parameter(15.0, "deg", "own", "largest tilt between two gravity-aligned submaps", low=0, high=180)
-    min_overlap: float = parameter(0.2, "1", "own, decision 0163", "smallest share of common surface", low=0, high=1)
+    min_overlap: float = parameter(0.2, "1", "own, decision 0018", "smallest share of common surface", low=0, high=1)
     min_observability: float = parameter(0.002, "1", "own", "smallest eigenvalue share of the ICP information", low=0)
     lever: float = parameter(15.0, "m", "own", "lever arm at which rotations are compared with translations")
     min_sigma: float = parameter(0.03, "m", "own", "residuals are trusted no better than this")
@@ -530,32 +530,32 @@ class VerificationConfig(Section):
     systematic_direction: float = parameter(
         0.3,
         "deg",
-        "own, decision 0160",
+        "own, decision 0081",
         "of the direction of travel as the sensor sees it, where its scans do not tell",
         low=0,
     )
     unshared_shift: float = parameter(
-        0.08, "m", "own, decision 0160", "standard deviation along each axis where half of the surface is common", low=0
+        0.08, "m", "own, decision 0081", "standard deviation along each axis where half of the surface is common", low=0
     )
-    unshared_turn: float = parameter(0.17, "deg", "own, decision 0160", "the same about each axis", low=0)
+    unshared_turn: float = parameter(0.17, "deg", "own, decision 0081", "the same about each axis", low=0)
     unshared_parts: float = parameter(
-        2.0, "1", "own, decision 0194", "unshared surface a part of common one beyond which it counts in full", low=0
+        2.0, "1", "own, decision 0081", "unshared surface a part of common one beyond which it counts in full", low=0
     )
     agreeing_surface: float = parameter(
-        0.005, "m", "own, decision 0194", "what scans disagree by on surfaces that are as flat as simulated ones", low=0
+        0.005, "m", "own, decision 0081", "what scans disagree by on surfaces that are as flat as simulated ones", low=0
     )
     disagreeing_surface: float = parameter(
-        0.01, "m", "own, decision 0194", "disagreement beyond that from which on the deviations above count in full"
+        0.01, "m", "own, decision 0081", "disagreement beyond that from which on the deviations above count in full"
     )
     least_systematic: float = parameter(
-        0.1, "1", "own, decision 0194", "share of the deviations above where scans agree", low=0, high=1
+        0.1, "1", "own, decision 0081", "share of the deviations above where scans agree", low=0, high=1
     )
     rival_distance: float = parameter(1.5, "m", "own, decision 0080", "poses farther apart than this are rivals")
     rival_nearest: float = parameter(
-        0.6, "m", "own, decision 0213", "hypotheses of an ambiguous loop lie farther apart than this"
+        0.6, "m", "own, decision 0080", "hypotheses of an ambiguous loop lie farther apart than this"
     )
     rival_near_share: float = parameter(
-        0.95, "1", "own, decision 0213", "share of the overlap of those nearer than `rival_distance`", low=0
+        0.95, "1", "own, decision 0080", "share of the overlap of those nearer than `rival_distance`", low=0
     )
     rival_common: float = parameter(
         0.5, "1", "own, decision 0080", "share of the common surface that a rival must have, too", low=0, high=1

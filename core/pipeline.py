@@ -121,7 +121,7 @@ def describe_surface(
     bev = describe_bev(surface, clusters, config.bev)  # III-D, Eq. 7-9
     saliency = weigh_clusters(bev.keypoints, surface, clusters, config.micro.epsilon)  # III-E, Eq. 10-12
     micro = describe_clusters(surface, clusters, bev.keypoints, saliency, config.micro, rng)  # III-C
-    spectra = describe_spectra(surface, clusters, config.spectra)  # decisions 0015, 0017
+    spectra = describe_spectra(surface, clusters, config.spectra)  # decision 0017
     features = PlaceFeatures(bev, micro, spectra)
     descriptor = fuse(features, models.codebooks, config.fusion, models.version)  # III-E, Eq. 13-14
     if not descriptor.vector.any():

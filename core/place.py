@@ -144,7 +144,7 @@ def patch_model(codebooks: Codebooks) -> str:
 def _spread_rows(points: Array, chosen: NDArray[np.bool_], spacing: float, limit: int) -> NDArray[np.int64]:
     """One row for each cube of edge `spacing` among the chosen points; where still too many, those of least rank.
 
-    Cubes of the least ranks are spread evenly, and of which rank one is need not be written (docs/decisions/0218).
+    Cubes of the least ranks are spread evenly, and of which rank one is need not be written (docs/decisions/0287).
     """
     from revisit.core.kernels.octree_coder import ranks_of  # the gateway reads keypoints without compiled code
 
@@ -166,7 +166,7 @@ def _disagreement(header: dict[str, object]) -> ScanDisagreement | None:
     stored = header.get("disagreement")
     if stored is None:
         return None
-    if not isinstance(stored, list) or len(stored) not in (2, 4):  # two of a place from before decision 0216
+    if not isinstance(stored, list) or len(stored) not in (2, 4):  # two numbers in older places
         raise DataLoss("the disagreement of the place's scans is not two or four numbers")
     if not all(isinstance(value, float) and 0.0 <= value < math.inf for value in stored):
         raise DataLoss("the disagreement of the place's scans is no lengths and angles")

@@ -1,4 +1,4 @@
-"""The first stored form of a place (before docs/decisions/0155), which is still read."""
+"""The first stored form of a place, which is still read."""
 
 from __future__ import annotations
 

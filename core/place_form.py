@@ -1,4 +1,4 @@
-"""The stored form of a place (docs/decisions/0155, 0217, 0268): small whole numbers, each coded by what is near."""
+"""The stored form of a place (docs/decisions/0287): small whole numbers, each coded by what is near."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The head of a stored place (docs/decisions/0268): what it says of itself, and its frame, in about 60 bytes."""
+"""The head of a stored place (docs/decisions/0287): what it says of itself, and its frame, in about 60 bytes."""
 
 from __future__ import annotations
 

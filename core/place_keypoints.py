@@ -1,4 +1,4 @@
-"""The keypoints of a place as coded (docs/decisions/0268): a stream of bits, each guessed from keypoints nearby."""
+"""The keypoints of a place as coded (docs/decisions/0287): a stream of bits, each guessed from keypoints nearby."""
 
 from __future__ import annotations
 

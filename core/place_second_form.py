@@ -1,4 +1,4 @@
-"""The second stored form of a place (docs/decisions/0155, before 0217), which is still read."""
+"""The second stored form of a place, which is still read."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The surface of a place as stored: a point a voxel, coarse along its plane, fine across (decisions 0155, 0217)."""
+"""The surface of a place as stored: a point a voxel, coarse along its plane, fine across (decision 0287)."""
 
 from __future__ import annotations
 

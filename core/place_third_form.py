@@ -1,4 +1,4 @@
-"""The third stored form of a place (docs/decisions/0217, before 0268), which is still read."""
+"""The third stored form of a place, which is still read."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 """How far the scans of a submap disagree on its planes: what no motion mends, a sensor mounted askew, single poses.
 
-Loops between submaps whose scans disagree are off by more than their points say (docs/decisions/0194). What is left
+Loops between submaps whose scans disagree are off by more than their points say (docs/decisions/0081). What is left
 after each scan has been moved to where it fits best is no error of its pose: beams that are off, surfaces that no two
 scans see alike. And where the sensor looks beside the direction in which its poses move it, what it sees ahead moves
 aside from scan to scan, by its angle times the way.
@@ -25,9 +25,9 @@ _FLATTEST_SPREAD_M2 = 0.015  # second eigenvalue: less is a line or a corner of 
 _FLAT = 0.15  # smallest over second eigenvalue
 _OUTLIER_M = 0.05
 _RIDGE = 1e-2
-_OF_MENDED = 0.25  # a quarter of the variance of poses, decision 0194
+_OF_MENDED = 0.25  # a quarter of the variance of poses, decision 0081
 _SPARE = 60  # heights of scans over planes that must remain beyond the unknowns
-_LEAST_LEVER_M = 6.5  # scans that are thin share planes near the sensor alone, decision 0216
+_LEAST_LEVER_M = 6.5  # scans that are thin share planes near the sensor alone, decision 0081
 _LIKELY_SHIFT, _LIKELY_TURN = 0.01, np.radians(0.05)  # of a good odometry; motions told less sharply than so count less
 
 
@@ -118,7 +118,7 @@ def _single_poses(normal: Array64, moved: Array64, variance: float, origins: Arr
     """How far the pose of a single scan is off, along and about each axis: what a line through all motions leaves.
 
     `moved` (s, 6): the motions that mend the scans, with their `normal` matrix; `variance` of a height. Of a steady
-    drift, as of a sensor askew, nothing counts; of a heading that walks, its bends do (docs/decisions/0259). What the
+    drift, as of a sensor askew, nothing counts; of a heading that walks, its bends do (docs/decisions/0081). What the
     motions' own errors explain is taken off, and axes along which they are told less sharply count less.
     """
     scans = len(origins)

@@ -167,7 +167,7 @@ def chosen_scans(
     `positions` (s, 3) metres and the numbers of `returns` (s,) are in time order. The marks are tau / `scans_per_tau`
     apart, so that neither the speed of the robot nor the rate of its sensor changes what is described. Where the scans
     at the marks have fewer than `enough_returns`, of a sensor of few beams, others join them, evenly spread, until
-    they have (docs/decisions/0150).
+    they have (docs/decisions/0151).
     """
     travelled = travelled_m(positions)
     marks = travelled * (config.scans_per_tau / config.tau)

@@ -1,4 +1,4 @@
-"""The paper's form of the method beside the product's, in the units of the paper's tables (docs/decisions/0163).
+"""The paper's form of the method beside the product's, in the units of the paper's tables (docs/decisions/0122).
 
 `python -m lab.profile_tables OUT DOMAIN [DOMAIN ...]` prints a table for each domain, half of its way:
 area under the curve and largest F1 with bootstrap intervals, without a part each (the paper's Table III), by the cosine

@@ -9,10 +9,10 @@ from pathlib import Path
 FOLDER = Path("docs/decisions")
 INTRODUCTION = """# Decisions
 
-Why the product is as it is: one page for each choice that a newcomer would question. `make docs` writes this index from
-the pages' own lines: title, **Status**, the first sentence of **Decision**, and **What would reverse it**. Numbers are
-never used twice; a gap is a number that no page was given. What was measured on the way to the decisions about
-recognition is in [how recognition was tuned](../explanation/recognition-tuning.md).
+Choices that bind: code or a test relies on each of them, and a maintainer could undo it by mistake. `make docs` writes
+this index from the pages' own lines: title, the first sentence of **Decision**, **Status**, and **What would reverse
+it**. Numbers are never used twice; a gap is a page that no longer binds, and git has it. Measurements behind the
+recognition are in [how recognition was tuned](../explanation/recognition-tuning.md).
 
 | | decision | in short | status | what would reverse it |
 |---|---|---|---|---|"""

@@ -1,7 +1,7 @@
 """The one table: what each error code means on both transports.
 
 `retryable` tells a client that repeating the same request, with the same ids, is the thing to do. A 4xx was
-definitely not stored; after a 503 or 504 the outcome is unknown and the repeat settles it (docs/decisions/0021).
+definitely not stored; after a 503 or 504 the outcome is unknown and the repeat settles it (docs/decisions/0022).
 """
 
 from __future__ import annotations

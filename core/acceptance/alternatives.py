@@ -5,7 +5,7 @@ too low, and nothing is accepted. One pair of hundreds passes, at a wrong place.
 it from a right one: elsewhere on that drive they fit as well, but for contrast. In a street of equal houses a wrong
 pair passes now and then that explains less of the submap than a house elsewhere, which is turned down because two of
 its neighbours fit as well. Between drives of which nothing is known yet, any place elsewhere counts
-(docs/decisions/0246, 0267).
+(docs/decisions/0267).
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ _WINDOWS = 3.0
 """Submaps of a drive farther apart than this many window lengths are elsewhere."""
 
 _COMPARABLE = 0.65
-"""Such a share of the overlap of a cloud's claim is too much for another place (docs/decisions/0324)."""
+"""Such a share of the overlap of a cloud's claim is too much for another place (docs/decisions/0267)."""
 
 Counts = Callable[[LoopClaim, PipelineConfig], bool]
 

@@ -60,7 +60,7 @@ class Support:
 
 @dataclass(frozen=True)
 class Distinctiveness:
-    """How distinct a place is among the candidates of its query (docs/decisions/0162).
+    """How distinct a place is among the candidates of its query (docs/decisions/0161).
 
     compared: candidates; passing: those accepted or ambiguous; other_spots: other spots of the matched drive where the
     query would stand by one of their poses.

@@ -1,7 +1,7 @@
 """PAIRWISE_INCONSISTENT and ODOMETRY_INCONSISTENT: claims that others, or the odometry of their drive, contradict.
 
 Loops between two drives must put them beside each other in one way, as near as odometry can tell; a loop within one
-drive must agree with its own odometry (docs/decisions/0214, 0227).
+drive must agree with its own odometry (docs/decisions/0214).
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
 Where a place repeats, some of many pairs pass by chance at a wrong pose, and the others that the same pose explains do
 not: another pose fits them as well, or their score is too low. At the right pose of a place that is like no other,
-nearly all pass (docs/decisions/0280).
+nearly all pass (docs/decisions/0267).
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""How distinct a place is within its map: at how many other spots its submap would pass (docs/decisions/0162)."""
+"""How distinct a place is within its map: at how many other spots its submap would pass (docs/decisions/0161)."""
 
 from __future__ import annotations
 

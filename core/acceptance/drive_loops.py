@@ -3,7 +3,7 @@
 Each loop puts the odometry frame of one drive beside that of the other. Held against each other all at once: a drive
 has hundreds of loops within reach of a submap, and every new one is held against all of them. A loop within one drive
 is held against the odometry of that drive, too. Heights are held to what both odometries show of their own drift
-(docs/decisions/0214, 0227, 0285).
+(docs/decisions/0214).
 """
 
 from __future__ import annotations

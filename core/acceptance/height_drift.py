@@ -2,7 +2,7 @@
 
 The turns of a ramp and the storeys of a garage lie 2.5 to 4 m above each other, often after less way than a poor
 odometry drifts so far in. How well the two odometries agree in height is seen in the loops themselves: where both
-drives go on together, in neighbouring loops (docs/decisions/0285).
+drives go on together, in neighbouring loops (docs/decisions/0214).
 """
 
 from __future__ import annotations

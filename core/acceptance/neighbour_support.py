@@ -86,7 +86,7 @@ def find_support(
 def told_pose(neighbours: Sequence[NeighbourLoop], config: VerificationConfig) -> ToldPose | None:
     """The first pose of the neighbour with the shortest way, of those within `support_reach`; None where there is none.
 
-    How many agree with it, itself among them, says what it is worth: a guess, or known (docs/decisions/0205).
+    How many agree with it, itself among them, says what it is worth: a guess, or known (docs/decisions/0161).
     """
     near = [one for one in _within_reach(neighbours, config) if one.accepted]
     if not near:

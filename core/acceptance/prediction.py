@@ -2,7 +2,7 @@
 
 Candidates of one query belong together: odometry says how those of one drive lie to each other, and the map how those
 of several drives do. Once one is a loop, the pose of the others is a guess; once `enough` agree on it, another loop
-there would tell the map nothing new (docs/decisions/0205).
+there would tell the map nothing new (docs/decisions/0161).
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Support for claims that are ambiguous by geometry alone, from the claims beside them; and SUPPORT_LOST.
 
-An ambiguous claim of which the accepted ones beside it single out one pose is registered again from there, and accepted
-(docs/decisions/0161). Where those are doubted later, it is ambiguous again (docs/decisions/0263).
+Where accepted claims beside an ambiguous one single out one of its poses, it is registered from there and
+accepted. Where those are doubted later, it is ambiguous again (docs/decisions/0161).
 """
 
 from __future__ import annotations

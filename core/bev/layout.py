@@ -1,4 +1,4 @@
-"""The layout spectrum: a global cue of the BEV image that neither heading nor offset changes (docs/decisions/0006).
+"""The layout spectrum: a global cue of the BEV image that neither heading nor offset changes (docs/decisions/0017).
 
 The amplitude spectrum of an image does not move with the image, and turns with it; the amplitudes of its harmonics over
 the angle do not turn either.

@@ -83,7 +83,7 @@ def micro_descriptor(features: PlaceFeatures, codebooks: Codebooks, config: Fusi
 
 
 def layout_descriptor(bev: BevFeatures, codebooks: Codebooks) -> Array:
-    """F^L (r,): the layout spectrum in directions that differ between places and not between visits (decision 0006)."""
+    """F^L (r,): the layout spectrum in directions that differ between places and not between visits (decision 0017)."""
     return discriminated(np.sqrt(bev.layout), codebooks.layout_mean, codebooks.layout_basis)
 
 

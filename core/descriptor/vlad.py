@@ -109,7 +109,7 @@ def fold(vector: Array, mean: Array, folds: Array) -> Array:
     """Sparse random projection of a VLAD vector (d,) to (p,), L2-normalised; a zero vector stays zero.
 
     Every entry is added, with a sign, to h of p places: `folds` (h, d) holds +-(place + 1). Cosines are kept but for
-    noise of about 1 / sqrt(p) (Johnson-Lindenstrauss; docs/decisions/0007).
+    noise of about 1 / sqrt(p) (Johnson-Lindenstrauss; docs/decisions/0017).
     """
     size = folded_size(folds)
     if not vector.any():

@@ -1,4 +1,4 @@
-"""Where the kernels of description run: on the processor, or on a device of torch (docs/decisions/0219, 0295).
+"""Where the kernels of description run: on the processor, or on a device of torch (docs/decisions/0295).
 
 description      what they are asked for, and their ports
 compiled_description                         by the compiled functions of `core.kernels`

@@ -1,4 +1,4 @@
-"""The kernels of description that a device may do in the place of the compiled ones (docs/decisions/0219).
+"""The kernels of description that a device may do in the place of the compiled ones (docs/decisions/0295).
 
 They follow the steps of the method. Each call is of one submap, which is a batch by itself: a million returns, a
 hundred thousand corners, sixteen filters. What is asked and answered are NumPy arrays.
@@ -137,7 +137,7 @@ class SurfaceKernels(Protocol):
 
 
 class ViewKernels(Protocol):
-    """What is counted of a place and filtered in its plan (paper III-D, decisions 0015 and 0017)."""
+    """What is counted of a place and filtered in its plan (paper III-D, decision 0017)."""
 
     def strongest_orientations(self, image: Array, bank: Array) -> tuple[NDArray[np.int8], Array]:
         """Which orientation of the filters `bank` (o, s, k, k) answers strongest in the `image` (h, w), and how."""

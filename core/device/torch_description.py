@@ -1,4 +1,4 @@
-"""The kernels of description by torch: on a GPU, or on the processor to compare them (docs/decisions/0219)."""
+"""The kernels of description by torch: on a GPU, or on the processor to compare them (docs/decisions/0295)."""
 
 from __future__ import annotations
 

@@ -109,7 +109,7 @@ def _terms(points: Tensor, voxels: Tensor, *, resolution: float) -> tuple[Tensor
     """How p (n, 3) and upper p p^T (n, 6) of returns differ from those (n, 9) of the middles of their voxels.
 
     The difference, which is small, is what is added up. Products are of 32 bits, as in the compiled kernel: normals of
-    lone returns hang on their rounding (docs/decisions/0178).
+    lone returns hang on their rounding (docs/decisions/0111).
     """
     middles = (voxels + 0.5) * resolution
     products = torch.stack([points[:, i] * points[:, j] for i, j in _UPPER], dim=1)

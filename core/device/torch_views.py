@@ -1,4 +1,4 @@
-"""What is counted of a place and filtered in its plan, by torch (paper III-D, decisions 0015 and 0017)."""
+"""What is counted of a place and filtered in its plan, by torch (paper III-D, decision 0017)."""
 
 from __future__ import annotations
 

@@ -14,13 +14,13 @@ from revisit.core.errors import DataLoss
 
 CONTAINER = Container(b"RVNM\x04", "stored neural map", level=12, max_body_bytes=256_000_000, digest_bytes=16)
 THIRD_CONTAINER = Container(b"RVNM\x03", "stored neural map", level=12, max_body_bytes=256_000_000)
-"""The form of decision 0235: other sections, a stream without learned chances."""
+"""An older form: other sections, a stream without learned chances."""
 SECOND_CONTAINER = Container(b"RVNM\x02", "stored neural map", level=12, max_body_bytes=256_000_000)
-"""The form of decision 0116: the sections of the third, planes coded by one model a bit."""
+"""An older form: the sections of the third, planes coded by one model a bit."""
 FIRST_CONTAINER = Container(b"RVNM\x01", "stored neural map", level=12, max_body_bytes=256_000_000)
 """The form until version 0.1: voxels, normals, offsets, hits and features side by side under zstd."""
 SECOND, THIRD, FOURTH = 2, 3, 4
-"""Versions of the stream of points, as the fifth byte says: of 0116, of 0235, and what is written now (0287)."""
+"""Versions of the stream of points, as the fifth byte says, oldest first; the last one is written."""
 
 _SIMILARITY_BYTES = 128
 _MAX_MOMENTS_BYTES = 8_000_000

@@ -1,4 +1,4 @@
-"""Neural points and their features as a stream of bits, and back (docs/decisions/0116, 0235, 0287)."""
+"""Neural points and their features as a stream of bits, and back (docs/decisions/0287)."""
 
 from __future__ import annotations
 

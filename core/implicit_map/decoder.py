@@ -1,7 +1,7 @@
 """The SDF decoder (paper III-B 2, Eq. 2-5): K neural points around a query -> signed distance in metres.
 
 The blended local coordinate along the normals is the distance to the tangent planes; the shallow MLP adds what the
-planes miss (decision 0001). One decoder is shared by every map, which lets maps of different sessions be merged.
+planes miss (decision 0115). One decoder is shared by every map, which lets maps of different sessions be merged.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Reading neural maps stored until version 0.1: sections of bytes, and always with features (docs/decisions/0002)."""
+"""Reading neural maps stored until version 0.1: sections of bytes, and always with features (docs/decisions/0287)."""
 
 from __future__ import annotations
 

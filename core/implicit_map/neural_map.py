@@ -66,7 +66,7 @@ class NeuralMap:
         return cls(points, np.zeros((len(points), 0), np.float32), stamps_ns, None, config, frame)
 
     def to_blob(self) -> bytes:
-        """The compact stored form (docs/decisions/0116, 0235, 0287): features rounded to multiples of FEATURE_STEP,
+        """The compact stored form (docs/decisions/0287): features rounded to multiples of FEATURE_STEP,
         normals of a map without features to STORED_NORMAL_UNIT steps from their neighbours'.
         """
         codes = plane_codes(self.points, self.config.resolution)

@@ -59,7 +59,7 @@ def oriented(gathered: NDArray[np.float64], resolution: float, most: int = MAX_N
     """The neural points of what was `gathered` in voxels, records (n, RECORD), with their orientations.
 
     Each lies at the mean of the returns in its voxel, the first of which created it (paper III-B 3; why none is ever
-    evicted: docs/decisions/0064). Of more than `most` those nearest to the middle.
+    evicted: docs/decisions/0063). Of more than `most` those nearest to the middle.
     """
     positions, records = (gathered[:, 1:4] / gathered[:, :1]).astype(np.float32), gathered
     everywhere = Planes(positions, np.zeros_like(positions), resolution)

@@ -1,6 +1,6 @@
 """The geometry of neural points as it is stored: voxel, octahedral normal, plane offset, class of hits.
 
-Fitting works on this geometry already (`settle`), so that storing a map loses nothing of it (docs/decisions/0002).
+Fitting works on this geometry already (`settle`), so that storing a map loses nothing of it (docs/decisions/0287).
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ OFFSET_UNIT = 48
 """Parts of FIXED of a voxel's edge: 1.9 cm in voxels of 0.4 m."""
 
 STORED_NORMAL_UNIT = 2
-"""Steps of a normal by which it is stored: where none is learned on top, twelve degrees are as good as six (0235)."""
+"""Steps of a normal by which it is stored: where none is learned on top, twelve degrees are as good as six."""
 
 
 @dataclass(frozen=True)

@@ -35,7 +35,7 @@ CODED_FROM = 4096
 _CODES_ARE_LEARNED_ANEW_AFTER = 4
 _SHORTLIST = 160
 _PLACES_PER_PROPOSED = 3000
-"""Of more than 480,000 places more are proposed than `_SHORTLIST`: one for so many (docs/decisions/0239)."""
+"""Of more than 480,000 places more are proposed than `_SHORTLIST`: one for so many (docs/decisions/0112)."""
 _FEW = 2048
 _CODED_PER_SEARCH = 256
 

@@ -28,7 +28,7 @@ class SiteLearner:
 
     Of places of a session that lie within one cell, the first counts. The map's statistics come from its first places
     that count, as many as the last step asks for, and so does the mean of each session from the session's. What a
-    session teaches is kept until one of its places that count is removed (docs/decisions/0286).
+    session teaches is kept until one of its places that count is removed (docs/decisions/0305).
     """
 
     def __init__(self, config: AdaptationConfig) -> None:

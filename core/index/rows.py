@@ -17,7 +17,7 @@ SMALLEST_TO_COMPACT = 64
 class Rows:
     """Growing arrays, one row a place; the row of a removed place stays until most rows are of removed ones.
 
-    Shared rows stay as they are: copying them would take more than it gives back (docs/decisions/0286).
+    Shared rows stay as they are: copying them would take more than it gives back (docs/decisions/0305).
     """
 
     def __init__(self, dimension: int) -> None:

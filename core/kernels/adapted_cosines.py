@@ -1,4 +1,4 @@
-"""Cosines of descriptors standardised by their map, without an array of the standardised ones (docs/decisions/0296)."""
+"""Cosines of descriptors standardised by their map, without an array of the standardised ones (docs/decisions/0221)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Points of some vertical columns of space, drawn by where they stand (docs/decisions/0194)."""
+"""Points of some vertical columns of space, drawn by where they stand (docs/decisions/0081)."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def points_of_drawn_columns(points: NDArray[np.float32], reach: float, wanted: i
 def _turn_columns(flat: NDArray[np.float32], reach: np.float32, turned: NDArray[np.uint32]) -> int:
     """Fill `turned` (n,) with the hashes of the points' columns, _FAR beyond reach; returns how many are within.
 
-    Rows of unsigned numbers are never counted from the end (0177).
+    Rows of unsigned numbers are never counted from the end.
     """
     middle, side, near = np.int32(_SIDE // 2), np.int32(_SIDE), 0
     for n in range(len(turned)):

@@ -1,4 +1,4 @@
-"""Profiles along all headings: of the faces that look there, and of the plan (docs/decisions/0015, 0017)."""
+"""Profiles along all headings: of the faces that look there, and of the plan (docs/decisions/0017)."""
 
 from __future__ import annotations
 

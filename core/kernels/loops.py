@@ -1,4 +1,4 @@
-"""How the loops of the kernels are compiled (docs/decisions/0111, 0177, 0292)."""
+"""How the loops of the kernels are compiled (docs/decisions/0111, 0289)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Surface points with their normals, sorted for searches in vertical columns (docs/decisions/0241).
+"""Surface points with their normals, sorted for searches in vertical columns.
 
 A search takes all points of the columns around, LANES at a time, without asking whether a column can still hold a
 nearer one: a step that a processor guesses wrong costs more than the few distances it saves. Where the points of the

@@ -1,4 +1,4 @@
-"""Points on stored tangent planes, as near the centres of their voxels as they can be (docs/decisions/0002)."""
+"""Points on stored tangent planes, as near the centres of their voxels as they can be (docs/decisions/0287)."""
 
 from __future__ import annotations
 

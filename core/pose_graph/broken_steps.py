@@ -4,7 +4,7 @@ One such step bends a map: the loops on one side of it agree with each other, th
 both together with the odometry only at the price of half of them. Graduated non-convexity over steps and loops alike
 finds the steps without which everything else agrees. A place that is taken for another one looks like that too, so a
 step is believed to be broken only where loops of several places speak for it on both sides, by no more than odometry
-goes wrong, and where the way beyond is not back where odometry has it (docs/decisions/0318).
+goes wrong, and where the way beyond is not back where odometry has it (docs/decisions/0095).
 """
 
 from __future__ import annotations

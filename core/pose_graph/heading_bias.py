@@ -3,7 +3,7 @@
 A gyro that is off by 0.05 degrees a second turns a way of 100 m by 10 degrees at walking speed. Submaps and loops are
 as good as ever, but the drift of the odometry is no random one: held against that, most right loops are refuted.
 One number explains all of them then, and no wrong ones: a place taken for another one lies elsewhere by more than a
-turn (docs/decisions/0299).
+turn (docs/decisions/0095).
 """
 
 from __future__ import annotations

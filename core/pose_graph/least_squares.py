@@ -1,7 +1,7 @@
 """Least squares by Levenberg and Marquardt, and graduated non-convexity around it.
 
 The longest call is one factorisation, so that the heartbeat of a worker goes on beside a map that takes a minute
-(docs/decisions/0099).
+(docs/decisions/0274).
 """
 
 from __future__ import annotations

@@ -38,7 +38,7 @@ class LoopsWithin:
     """Loops within sessions, by their place in the graph: what the odometry allows, and what others support of it.
 
     Of a session with more supported loops than submaps, some speak for others that agree with them: wrong loops join
-    everything with everything, and the equations of thousands of them are dense (docs/decisions/0186). `speakers` has,
+    everything with everything, and the equations of thousands of them are dense (docs/decisions/0274). `speakers` has,
     by number, those that each of them speaks for, itself among them.
     """
 

@@ -1,4 +1,4 @@
-"""The normal spectrum: how the faces of the dominant clusters lie to each other (paper III-C; docs/decisions/0015).
+"""The normal spectrum: how the faces of the dominant clusters lie to each other (paper III-C; docs/decisions/0017).
 
 For every heading, the vertices that face it are counted along it: walls that look that way are peaks of this profile.
 """

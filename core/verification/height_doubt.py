@@ -1,4 +1,4 @@
-"""How uncertain the height of a pose is: whether other level surfaces of both places could meet (docs/decisions/0284).
+"""How uncertain the height of a pose is: whether other level surfaces of both places could meet (docs/decisions/0081).
 
 Walls say nothing of height. Where cars move along with a robot their roofs are a floor above the ground, which lies
 hidden; put on the ground of the other visit they look like it, and residuals are as small as at the right height.

@@ -29,7 +29,7 @@ COLUMN_M = 2.0
 _STEEPEST_GROUND = np.cos(np.radians(70.0))
 """Ground with a steeper normal is a lone ring of a beam: a line, whose normal is a guess and looks at the sensor. Such
 rings stand like boards around each spot a scan was taken from, and alignment would put board on board instead of
-surface on surface (docs/decisions/0212).
+surface on surface (docs/decisions/0008).
 """
 
 _FACING_ALIKE = 0.6  # smallest cosine between the normals of two points on one surface

@@ -49,7 +49,7 @@ def find_rivals(
 
     A rival lies farther than `rival_distance` or 10 degrees away, its overlap is at least `rival_share` of that of
     `T_match_query`, and neither place has looked through more of the other than a loop may. Where there is one, other
-    poses nearby that fit as well are told, too (docs/decisions/0213): they make no loop ambiguous by themselves.
+    poses nearby that fit as well are told, too (docs/decisions/0080): they make no loop ambiguous by themselves.
     """
     search = _Search.around(T_match_query, query, match, config)
     far = _Rule(config.rival_distance, config.rival_reach, config.rival_share)

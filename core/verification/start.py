@@ -87,7 +87,7 @@ def _fits(query: Place, match: Place, config: VerificationConfig) -> list[Agreem
 def _undecided(fits: Sequence[Agreement], config: VerificationConfig) -> bool:
     """Whether the best two of `fits` are the two directions of one turn that nothing else comes near: rows of one kind.
 
-    Then the image tells the turn, but not which end is which (docs/decisions/0277).
+    Then the image tells the turn, but not which end is which (docs/decisions/0024).
     """
     if len(fits) < 3:
         return False

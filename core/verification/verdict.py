@@ -167,9 +167,9 @@ def systematic_covariance(
     Poses drift within a submap and surfaces are rounded off (docs/decisions/0081). What is seen from one of two views
     alone pulls the pose: its share counts by what there is of it for each part of common surface. And a sensor that
     looks a little beside the direction in which odometry moves it is the farther off the farther the places lie apart
-    (docs/decisions/0160). All of it is the same in metres for any scene scale. Where the `disagreement` of the scans is
+    (docs/decisions/0081). All of it is the same in metres for any scene scale. Where the `disagreement` of the scans is
     known, the first two count by it, and the direction is as it says; else all is as large as it was on real drives
-    (docs/decisions/0194). Where little is common, what there is decides, whatever the sensor: that counts in full.
+    (docs/decisions/0081). Where little is common, what there is decides, whatever the sensor: that counts in full.
     """
     share = 1.0 if disagreement is None else _systematic_share(disagreement.surface, config)
     horizontal, vertical = config.systematic_horizontal / scale, config.systematic_vertical / scale
@@ -191,7 +191,7 @@ def frames_covariance(
     """The covariance (6, 6), in the frame of the match, of what the frames of two submaps are off by themselves.
 
     T_match_query (4, 4) between the submap frames. A frame is the recorded pose of one scan; all scans together carry
-    the surfaces that are aligned, and that one pose is off from them (docs/decisions/0216).
+    the surfaces that are aligned, and that one pose is off from them (docs/decisions/0081).
     """
     adjoint = se3.adjoint(T_match_query)
     of_query, of_match = (np.diag(np.square([scale * one.shift] * 3 + [one.turn] * 3)) for one in (query, match))
@@ -213,7 +213,7 @@ def common_disagreement(query: Place, match: Place) -> ScanDisagreement | None:
 
 
 def loop_score(overlap: float, contrast: float, seen_through: float, rmse_m: float, inliers: int) -> float:
-    """Evidence to 0..1, with weights from real and simulated pairs of submaps (docs/decisions/0229)."""
+    """Evidence to 0..1, with weights from real and simulated pairs of submaps (docs/decisions/0018)."""
     few = min(np.log(max(inliers, 1) / _ENOUGH_INLIERS), 0.0)
     features = (1.0, overlap, contrast, seen_through, max(rmse_m, _SHARPEST_RMSE_M), few)
     logit = float(np.dot(_SCORE_WEIGHTS, features))

@@ -141,7 +141,7 @@ def _cosine(one: DescribedPlace, other: DescribedPlace) -> float:
 
 
 def _alike(one: DescribedPlace, other: DescribedPlace) -> bool:
-    """Whether two descriptions of a submap are the same within what is promised of devices (docs/decisions/0219)."""
+    """Whether two descriptions of a submap are the same within what is promised of devices (docs/decisions/0295)."""
     points, others = one.neural_map.points.positions, other.neural_map.points.positions
     if _cosine(one, other) < LEAST_COSINE or len(points) != len(others):
         return False

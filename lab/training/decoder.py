@@ -1,4 +1,4 @@
-"""Pre-training of the shared SDF decoder (docs/decisions/0001).
+"""Pre-training of the shared SDF decoder (docs/decisions/0115).
 
 The decoder is trained for the way it is used: in every episode the latent features of one submap start at zero and take
 the same few Adam steps as in `core.implicit_map.gradient_steps.fit_features` with the decoder frozen; then the decoder

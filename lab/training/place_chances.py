@@ -1,4 +1,4 @@
-"""The chances with which the models of a stored place begin, counted in simulated towns (docs/decisions/0217, 0268)."""
+"""The chances with which the models of a stored place begin, counted in simulated towns (docs/decisions/0287)."""
 
 from __future__ import annotations
 

@@ -30,12 +30,12 @@ from revisit.service.large_blocks import return_free_memory
 
 PLACES_READ = 96
 """Places that a worker keeps unpacked, the last ones it used: candidates come again with a robot's next submap, and a
-worker serves several robots by turns (docs/decisions/0222, 0291). 0.1 MB each, and 4 ms to read.
+worker serves several robots by turns (docs/decisions/0289). 0.1 MB each, and 4 ms to read.
 """
 
 PLACES_PREPARED = 24
 """Places of these that are kept with what verification has made of them: 1.3 MB more each, and 2 ms. A job asks most of
-its candidates twice, and few that an earlier job had asked (docs/decisions/0288).
+its candidates twice, and few that an earlier job had asked (docs/decisions/0289).
 """
 
 
@@ -128,7 +128,7 @@ def accompany_worker() -> None:
 
 
 def _disagreement_of(place: bytes | None) -> ScanDisagreement | None:
-    """What the scans of a stored place disagree on (docs/decisions/0194); None where nothing readable says so."""
+    """What the scans of a stored place disagree on (docs/decisions/0081); None where nothing readable says so."""
     if place is None:
         return None
     try:

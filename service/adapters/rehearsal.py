@@ -2,7 +2,7 @@
 
 What it compiled in the middle of its life would cost a job some seconds, and the worker memory for good. The compiler
 keeps what it has made: where several workers start and nothing is there yet, they begin at different ends, and each
-loads what the other has compiled. A worker that starts alone has another process do so (docs/decisions/0292).
+loads what the other has compiled. A worker that starts alone has another process do so (docs/decisions/0289).
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """One vector index per map: the bookkeeping of the port around a nearest-neighbour index of `core.index`.
 
-A large map has a file (docs/decisions/0202): its descriptors are mapped from there, and only those that came later are
+A large map has a file (docs/decisions/0046): its descriptors are mapped from there, and only those that came later are
 in this process's own memory. Whatever is wrong with a file, the map is forgotten, and loaded again from the database.
 """
 

@@ -245,7 +245,7 @@ def _refuse(context: Any, error: Exception) -> None:
     """End the call with the status of `error`: what its handler returns then is not sent.
 
     Not by `context.abort`: what that raises is kept by the call, whose frames it keeps, until the garbage collector
-    comes round. Under a flood of refusals that took 48 ms every 11 s, and everybody waited (docs/decisions/0294).
+    comes round. Under a flood of refusals that took 48 ms every 11 s, and everybody waited (docs/decisions/0033).
     """
     request_id = current_request().request_id or uuid.uuid4().hex
     if not isinstance(error, RevisitError):

@@ -1,4 +1,4 @@
-"""When a worker gives free memory back: pages that are faulted in again cost CPU (docs/decisions/0254, 0273)."""
+"""When a worker gives free memory back: pages that are faulted in again cost CPU (docs/decisions/0289)."""
 
 from __future__ import annotations
 

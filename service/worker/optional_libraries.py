@@ -1,4 +1,4 @@
-"""What libraries of a worker load where it is installed, though a worker never uses it (docs/decisions/0288)."""
+"""What libraries of a worker load where it is installed, though a worker never uses it (docs/decisions/0289)."""
 
 from __future__ import annotations
 

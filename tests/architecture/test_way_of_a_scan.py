@@ -16,7 +16,7 @@ MOST = {
     "scan": {"service/grpc/": 3, "service/wire/": 1, "service/application/": 5, "service/adapters/": 7, "": 22},
     "end": {"": 9},
 }
-"""Modules that each leg of a stream may cross, by folder; the last is for all (docs/decisions/0084)."""
+"""Modules that each leg of a stream may cross, by folder; the last is for all."""
 
 LIMITS = [(leg, folder, most) for leg, by_folder in MOST.items() for folder, most in by_folder.items()]
 

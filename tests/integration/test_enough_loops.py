@@ -1,4 +1,4 @@
-"""Candidates of one submap are compared in turn, until the loops so far tell where the others lie (decision 0205)."""
+"""Candidates of one submap are compared in turn, until the loops so far tell where the others lie (decision 0161)."""
 
 from __future__ import annotations
 

@@ -78,7 +78,7 @@ async def test_a_map_is_optimised_by_itself_once_its_new_loops_have_settled():
     world.clock.ms += 4999
     assert world.work_off() == 0
     world.clock.ms += 1
-    assert world.work_off() == 2  # and recall (docs/decisions/0187)
+    assert world.work_off() == 2  # and recall (docs/decisions/0090)
     assert (await world.use_cases.operations.get(TENANT, job.operation_id)).result["version"] == "maps/town/versions/1"
     assert waiting(world) == []
 

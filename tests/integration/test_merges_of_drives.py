@@ -98,7 +98,7 @@ async def test_a_drive_through_one_of_two_equal_corridors_is_refused_and_an_init
     told = await merged(world, "a", "b", recogniser, validate_only=True, T_map_source=near, radius_m=12.0)
     print(told["verdict"], told["refusal"], told["evidence"])
     assert told["verdict"] == "MERGEABLE" and told["evidence"]["rival_loops"] == 0
-    # The two drives took their scans 0.5 m apart: what is aligned is the walls' posts (docs/decisions/0212).
+    # The two drives took their scans 0.5 m apart: what is aligned is the walls' posts (docs/decisions/0008).
     print(offset(told, *starts, np.array([18.0, 30.0, 0.0])))
     assert offset(told, *starts, np.array([18.0, 30.0, 0.0]))[0] <= 0.3
 

@@ -1,4 +1,4 @@
-"""Rejected loops are tested again from where a new version of their map has their submaps. A made-up fleet (0187)."""
+"""Rejected loops are tested again from where a new version of their map has their submaps. A made-up fleet."""
 
 from __future__ import annotations
 

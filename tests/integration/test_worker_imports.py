@@ -1,4 +1,4 @@
-"""What a worker loads, it holds for as long as it lives (docs/decisions/0288)."""
+"""What a worker loads, it holds for as long as it lives (docs/decisions/0289)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Columns of which a database has very many, packed: poses, and the evidence of rejected pairs (docs/decisions/0314).
+"""Columns of which a database has very many, packed: poses, and the evidence of rejected pairs (docs/decisions/0091).
 
 What an earlier version wrote is JSON, and is read as it is.
 """

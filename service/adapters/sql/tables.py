@@ -182,7 +182,7 @@ submaps = _numbered(
     _integer("created_at_ns"),
     _text("model_version", length=128, nullable=True),
     Column("descriptor", LargeBinary, nullable=True),
-    # Its name in the database is that of version 0.1 (docs/decisions/0085).
+    # The name of version 0.1: `restore` checks a backup by this column before it migrates anything.
     Column("signature_sha256", String(64), key="place_sha256", nullable=True),
     _text("neural_map_sha256", nullable=True),
     _integer("neural_map_bytes", nullable=True),

@@ -1,6 +1,6 @@
 """Transactions on SQLite: one writer thread per process, snapshots for readers, durable commits.
 
-Why it looks like this (measured, docs/decisions/0011): Python's driver begins no transaction before a SELECT, so
+Why it looks like this (measured, docs/decisions/0033): Python's driver begins no transaction before a SELECT, so
 read-modify-write loses updates; with synchronous=NORMAL a power cut loses acknowledged rows of the write-ahead log;
 SQLite before 3.51.3 can damage the log when two connections write or checkpoint at the same instant.
 

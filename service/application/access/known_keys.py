@@ -1,4 +1,4 @@
-"""What the store says of API keys, read again only once something was committed (docs/decisions/0250)."""
+"""What the store says of API keys, read again only once something was committed (docs/decisions/0221)."""
 
 from __future__ import annotations
 

@@ -11,7 +11,7 @@ from revisit.service.application.contract.identity import TenantId
 CLOUD_BLOB = "cloud"
 QUERY_CLOUD_BLOB = "query-cloud"
 PLACE_BLOB = "signature"
-"""What verification keeps of a submap, under the name that stores of version 0.1 gave it (docs/decisions/0085)."""
+"""What verification keeps of a submap, under the name that stores of version 0.1 gave it."""
 NEURAL_MAP_BLOB = "neural-map"
 MESH_BLOB = "mesh"
 """A file of a mesh on its way from the worker that made it to whoever asked, who deletes it: no row names it."""

@@ -55,7 +55,7 @@ def waiting_map_job(uow: UnitOfWork, tenant: TenantId, map_id: str, kind: Operat
 
 
 def recall_loops(uow: UnitOfWork, tenant: TenantId, map_id: str, policy: Policy, now_ns: int) -> None:
-    """Let the rejected loops of a map that has a new version be tested again (docs/decisions/0187).
+    """Let the rejected loops of a map that has a new version be tested again (docs/decisions/0090).
 
     Where the service optimises maps by itself; where a person asks for each version, loops stay as they are. All other
     work of the tenant goes before it: a robot waits for a loop, and nobody for this.

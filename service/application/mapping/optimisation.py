@@ -26,7 +26,7 @@ NO_SUBMAPS = {"outcome": "the map holds no submaps"}
 
 LOOPS_A_DELAY = 500
 """For every so many accepted loops of a map new ones settle for one more delay before it is optimised by itself: the
-larger a map, the longer it takes (docs/decisions/0176)."""
+larger a map, the longer it takes (docs/decisions/0090)."""
 
 _READINGS = 5
 """How often a graph is read again that has lost a part while it was optimised."""

@@ -1,4 +1,4 @@
-"""Rejected loops that a new version of their map gives another chance: recall (docs/decisions/0187).
+"""Rejected loops that a new version of their map gives another chance: recall (docs/decisions/0090).
 
 Geometry rejects some pairs because registration started in the wrong place. Once a map has converged, it says how two
 submaps lie to each other. Pairs that it puts near each other are registered again from there. The usual gates decide.

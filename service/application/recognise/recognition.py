@@ -276,7 +276,7 @@ class Recognition:
         """The recalled places with their claims; and the earlier loops of the drive whose claims change with them.
 
         `judged`: verdicts by number of submap; those that are there stand, new ones are added. Places whose pose enough
-        accepted pairs predict are left out (docs/decisions/0205).
+        accepted pairs predict are left out (docs/decisions/0161).
         """
         recalled = [one.submap for one in recall.places]
         predicted = PredictedPoses(

@@ -1,4 +1,4 @@
-"""Neural points as a stream of bits (docs/decisions/0116, 0235, 0287)."""
+"""Neural points as a stream of bits (docs/decisions/0287)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Loops are compiled without the counting of references (docs/decisions/0177)."""
+"""Loops are compiled without the counting of references (docs/decisions/0111)."""
 
 from __future__ import annotations
 

@@ -326,7 +326,7 @@ def test_few_keypoints_that_agree_lower_the_score_and_many_do_not_raise_it() -> 
 
 
 def test_two_bends_of_a_street_canyon_score_too_low_and_two_visits_to_a_wood_do_not() -> None:
-    """As measured on simulated drives: the best wrong pair, and a right one that scored as little before (0229)."""
+    """As measured on simulated drives: the best wrong pair, and a right one that scores least."""
     assert (
         loop_score(0.285, 0.111, 0.035, 0.116, 6) < VERIFICATION.min_score < loop_score(0.245, 0.119, 0.026, 0.121, 10)
     )

@@ -70,7 +70,7 @@ def test_where_a_rack_repeats_within_a_period_the_poses_nearby_are_hypotheses_to
 
 
 def test_where_rows_look_alike_from_either_end_both_directions_are_tried() -> None:
-    """The keypoints of this pair are wrong, and the plan is as like the opposite direction (docs/decisions/0277)."""
+    """The keypoints of this pair are wrong, and the plan is as like the opposite direction (docs/decisions/0024)."""
     park = next(world for world in WORLDS if world.name == "solar park")
     (pair,) = repeating_pairs(park, 1, 5, load_packaged_models().codebooks, CONFIG)
     assert judge(pair, CONFIG) == Judgement(accepted=False, right=True, among=True)

@@ -1,4 +1,4 @@
-"""Who compiles what, where several processes begin or one is alone (docs/decisions/0289, 0292)."""
+"""Who compiles what, where several processes begin or one is alone (docs/decisions/0289)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a worker holds while it describes a submap (docs/decisions/0291)."""
+"""What a worker holds while it describes a submap (docs/decisions/0289)."""
 
 from __future__ import annotations
 
