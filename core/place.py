@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 import hashlib
-import math
 from dataclasses import dataclass, field, fields
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from revisit.core import place_first_form, place_second_form, place_third_form
 from revisit.core.config import VerificationConfig
 from revisit.core.descriptor.vlad import Codebooks, project_locally
-from revisit.core.errors import BadTransform, DataLoss
 from revisit.core.geometry.level_frame import LevelFrame
 from revisit.core.geometry.voxel_keys import first_rows, voxel_keys
 from revisit.core.kept import Keeping
@@ -79,38 +76,15 @@ class Place(Keeping):
 
     @classmethod
     def from_blob(cls, blob: bytes, *, surface: bool = True) -> Place:
-        """The inverse of `to_blob`, or a place of an older form. Raises DataLoss for anything else.
+        """The inverse of `to_blob`. Raises FormerForm, DataLoss for anything else.
 
         Without `surface` its points are left out: then no compiled code is needed.
         """
-        if blob.startswith(place_first_form.CONTAINER.magic):
-            header, body = place_first_form.CONTAINER.unpack(blob)
-            return cls._of(place_first_form.read_first_form(header, body), header, header.get("T_level_submap"))
-        if blob.startswith(place_second_form.CONTAINER.magic):
-            header, body = place_second_form.CONTAINER.unpack(blob)
-            contents = place_second_form.read_second_form(header, body, surface=surface)
-            return cls._of(contents, header, header.get("T_level_submap"))
-        if blob.startswith(place_third_form.CONTAINER.magic):
-            header, body = place_third_form.CONTAINER.unpack(blob)
-            framed, rest = body[: place_third_form.FRAME_BYTES], body[place_third_form.FRAME_BYTES :]
-            T_level_submap = np.frombuffer(framed.ljust(place_third_form.FRAME_BYTES, b"\0"), "<f8").reshape(3, 4)
-            return cls._of(place_third_form.read_third_form(header, rest, surface=surface), header, T_level_submap)
         head, contents = read_form(blob, surface=surface)
         return cls(
             **vars(contents), model=head.model, frame=head.frame, spacing=head.spacing,
             scan_disagreement=head.scan_disagreement,
         )  # fmt: skip
-
-    @classmethod
-    def _of(cls, contents: PlaceContents, header: dict[str, Any], T_level_submap: object) -> Place:
-        """The place of a form whose header is JSON."""
-        model, spacing = header.get("model"), header.get("spacing", cls.spacing)
-        if not isinstance(model, str):
-            raise DataLoss("the place names no model")
-        disagreement = _disagreement(header)
-        return cls(
-            **vars(contents), model=model, frame=_frame(T_level_submap), spacing=spacing, scan_disagreement=disagreement
-        )
 
     def _contents(self) -> PlaceContents:
         return PlaceContents(**{field.name: getattr(self, field.name) for field in fields(PlaceContents)})
@@ -160,22 +134,3 @@ def _spread_rows(points: Array, chosen: NDArray[np.bool_], spacing: float, limit
 
 def _centimetres(positions: Array) -> NDArray[np.int16]:
     return np.asarray(np.clip(np.rint(positions / CENTIMETRE), -32767, 32767), dtype="<i2")
-
-
-def _disagreement(header: dict[str, object]) -> ScanDisagreement | None:
-    stored = header.get("disagreement")
-    if stored is None:
-        return None
-    if not isinstance(stored, list) or len(stored) not in (2, 4):  # two numbers in older places
-        raise DataLoss("the disagreement of the place's scans is not two or four numbers")
-    if not all(isinstance(value, float) and 0.0 <= value < math.inf for value in stored):
-        raise DataLoss("the disagreement of the place's scans is no lengths and angles")
-    return ScanDisagreement(*stored)
-
-
-def _frame(T_level_submap: Any) -> LevelFrame:
-    try:
-        level_submap = np.vstack([np.asarray(T_level_submap, dtype=np.float64), [0.0, 0.0, 0.0, 1.0]])
-        return LevelFrame.from_similarity(np.linalg.inv(level_submap))
-    except (BadTransform, TypeError, ValueError) as error:
-        raise DataLoss("the level frame of the place is no similarity") from error

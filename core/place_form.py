@@ -5,19 +5,19 @@ from __future__ import annotations
 import hashlib
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from revisit.core.errors import DataLoss
+from revisit.core.errors import DESCRIBED_AGAIN, DataLoss, FormerForm
 from revisit.core.kernels.keypoint_models import MOST_NUMBERS
-from revisit.core.place_head import PlaceHead, checked_spacing, pack_head, unpack_head
+from revisit.core.place_head import PlaceHead, pack_head, unpack_head
 from revisit.core.place_keypoints import ANGLES, Coded, in_stored_order, read_keypoints, write_keypoints
 
 Array = NDArray[np.float32]
 
 MAGIC = b"RVPS\x04"
+FORMER_MAGICS = (b"RVPS\x01", b"RVPS\x02", b"RVPS\x03")
 DIGEST_BYTES = 16
 """A blob ends with so much of the SHA-256 of all before."""
 DIMENSIONS = MOST_NUMBERS
@@ -76,8 +76,10 @@ def settled_form(contents: PlaceContents, spacing: float) -> PlaceContents:
 
 def read_form(blob: bytes, *, surface: bool) -> tuple[PlaceHead, PlaceContents]:
     """The inverse of `write_form`; without `surface` its points are left out, and no compiled code is needed. Raises
-    DataLoss for anything else.
+    FormerForm, DataLoss for anything else.
     """
+    if blob.startswith(FORMER_MAGICS):
+        raise FormerForm("stored place", DESCRIBED_AGAIN)
     content, digest = blob[:-DIGEST_BYTES], blob[-DIGEST_BYTES:]
     if not content.startswith(MAGIC):
         raise DataLoss("not a stored place of this version")
@@ -98,22 +100,9 @@ def read_form(blob: bytes, *, surface: bool) -> tuple[PlaceHead, PlaceContents]:
     return head, PlaceContents(*keypoints_of(*coded), signed, points, normals, standing_count)
 
 
-def bounded(header: dict[str, Any], name: str, most: int) -> int:
-    """A whole number of a header from 0 to `most`. Raises DataLoss for anything else."""
-    value = header.get(name)
-    if type(value) is not int or not 0 <= value <= most:
-        raise DataLoss(f"the place's {name} is unusable")
-    return value
-
-
 def directions(rows: Array) -> Array:
     """The rows (n, l) as unit vectors; zero rows stay."""
     return np.asarray(rows / np.maximum(np.linalg.norm(rows, axis=1, keepdims=True), 1e-12), dtype=np.float32)
-
-
-def spacing_of(header: dict[str, Any]) -> float:
-    """The spacing that a header in JSON names. Raises DataLoss as `checked_spacing`."""
-    return checked_spacing(header.get("spacing"))
 
 
 def levels_of(bits: NDArray[np.bool_]) -> Array:

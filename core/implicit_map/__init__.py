@@ -9,7 +9,7 @@ gradient_steps   fitting the features of a learned field
 online_fitting   the same, one scan after the other
 neural_map       the field and its queries
 fitting          all of it, for one submap
-settled, coded, blob, first_form    the compact stored form, and the ones before it
+settled, coded, blob    the compact stored form
 """
 
 from revisit.core.implicit_map.decoder import DecoderWeights

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
 
@@ -11,17 +11,13 @@ from numpy.typing import NDArray
 
 from revisit.core.errors import DataLoss
 from revisit.core.geometry import octahedral
-from revisit.core.implicit_map.blob import FOURTH, SECOND
 from revisit.core.implicit_map.map_chances import Mixtures, learned_mixtures
 from revisit.core.implicit_map.settled import PlaneCodes, distinct_rows
 from revisit.core.kernels.feature_coder import code_features, feature_models
 from revisit.core.kernels.guided_planes import code_guided_planes
 from revisit.core.kernels.mixed_octree import code_mixed_octree
-from revisit.core.kernels.mixed_planes import code_mixed_planes
-from revisit.core.kernels.octree_coder import OCTREE_MODELS, code_octree
-from revisit.core.kernels.plane_coder import FIXED, PLANE_MODELS, code_planes
+from revisit.core.kernels.plane_guesses import FIXED
 from revisit.core.kernels.range_coder import Coder, finish, fresh_models, start
-from revisit.core.kernels.voxel_families import families_of
 from revisit.core.kernels.voxel_table import rows_of, table_of
 
 Codes = NDArray[np.int32]
@@ -37,8 +33,7 @@ _NOTHING = np.zeros((0, 3), np.int32)
 @dataclass(frozen=True)
 class Form:
     """What a reader must know before the bits: number of points and of features, the lowest voxel (3,), the depth of
-    the octree above it, the steps in which normals and offsets are given, by how many steps normals are written, and
-    the version of the stream.
+    the octree above it, the steps in which normals and offsets are given, and by how many steps normals are written.
     """
 
     count: int
@@ -48,7 +43,6 @@ class Form:
     normal_steps: int
     offset_unit: int
     normal_unit: int = 1
-    version: int = FOURTH
 
     def announced(self) -> list[int]:
         """What a header says of it."""
@@ -56,20 +50,17 @@ class Form:
         return [self.count, self.features, *self.low, self.depth, *steps]
 
     @classmethod
-    def of_header(cls, header: dict[str, Any], version: int) -> Form:
+    def of_header(cls, header: dict[str, Any]) -> Form:
         """The form that a header says. Raises KeyError, TypeError or ValueError for one that says none."""
-        if version == FOURTH:
-            count, features, x, y, z, depth, steps, offset_unit, normal_unit = header["points"]
-            return cls(count, features, (x, y, z), depth, steps, offset_unit, normal_unit)
-        header = {"normal_unit": 1, **header, "version": version}  # the second form names no unit
-        return cls(**{one.name: header[one.name] for one in fields(cls)})
+        count, features, x, y, z, depth, steps, offset_unit, normal_unit = header["points"]
+        return cls(count, features, (x, y, z), depth, steps, offset_unit, normal_unit)
 
     def checked(self) -> Form:
         """Itself. Raises DataLoss for numbers that no writer writes."""
-        steps = (self.normal_steps, self.offset_unit, self.normal_unit, self.version)
+        steps = (self.normal_steps, self.offset_unit, self.normal_unit)
         numbers = (self.count, self.features, *self.low, self.depth, *steps)
-        bounds = (_MAX_POINTS, _MAX_FEATURES, *[1 << 30] * 3, _MAX_DEPTH, 127, FIXED, _COARSEST, FOURTH)
-        least = (0, 0, *[-(1 << 30)] * 3, 0, 1, 1, 1, SECOND)
+        bounds = (_MAX_POINTS, _MAX_FEATURES, *[1 << 30] * 3, _MAX_DEPTH, 127, FIXED, _COARSEST)
+        least = (0, 0, *[-(1 << 30)] * 3, 0, 1, 1, 1)
         if len(numbers) != len(bounds) or not all(
             type(n) is int and a <= n <= b for n, a, b in zip(numbers, least, bounds, strict=True)
         ):
@@ -128,8 +119,7 @@ def read_points(form: Form, stream: bytes) -> tuple[PlaneCodes, Codes]:
         return PlaneCodes(np.zeros((0, 3), np.int32), planes), features
     data = np.frombuffer(stream, np.uint8).copy()  # the compiled coder could also write
     coder = start(data, True)
-    read = _read_planes if form.version == FOURTH else _read_older_planes
-    voxels = read(form, coder, data, planes)
+    voxels = _read_planes(form, coder, data, planes)
     _code_features(form, coder, data, features)
     return PlaneCodes(voxels + np.asarray(form.low, dtype=np.int32), planes), features
 
@@ -142,18 +132,6 @@ def _read_planes(form: Form, coder: Coder, data: NDArray[np.uint8], planes: Code
     steps = form.normal_steps, form.normal_unit, form.offset_unit
     code_guided_planes(coder, data, mixtures.planes, level, low, planes, _vectors(form.normal_steps), *steps)
     return level.voxels
-
-
-def _read_older_planes(form: Form, coder: Coder, data: NDArray[np.uint8], planes: Codes) -> Codes:
-    """As `_read_planes`, of the versions before."""
-    voxels = code_octree(coder, data, fresh_models(OCTREE_MODELS), _NOTHING, form.depth, form.count)
-    _must_be_all(form, voxels)
-    families, steps, unit = families_of(voxels), form.normal_steps, form.offset_unit
-    if form.version == SECOND:
-        code_planes(coder, data, fresh_models(PLANE_MODELS), families, planes, _vectors(steps), steps, unit)
-    else:
-        code_mixed_planes(coder, data, families, planes, _vectors(steps), steps, form.normal_unit, unit)
-    return voxels
 
 
 def _must_be_all(form: Form, voxels: Codes) -> None:

@@ -14,7 +14,7 @@ from revisit.core.device import device
 from revisit.core.device.description import FieldRules, Planes
 from revisit.core.errors import BadField, BadTransform, DataLoss, DescriptorModelMismatch
 from revisit.core.geometry.level_frame import LevelFrame
-from revisit.core.implicit_map import blob, first_form
+from revisit.core.implicit_map import blob
 from revisit.core.implicit_map.coded import Form, read_points, write_points
 from revisit.core.implicit_map.decoder import DecoderWeights, decode
 from revisit.core.implicit_map.neighbourhood import Neighbourhood, find_neighbourhood
@@ -88,10 +88,10 @@ class NeuralMap:
     def from_blob(cls, data: bytes, decoder: DecoderWeights, config: ImplicitMapConfig) -> NeuralMap:
         """The map in `data`; a learned one with the decoder it brings, or else with `decoder`.
 
-        Raises DataLoss for damage, DescriptorModelMismatch where a learned map was fitted to another decoder.
+        Raises DataLoss for damage, FormerForm, and DescriptorModelMismatch where a learned map has another decoder.
         """
         try:
-            return _read_first_form(data, decoder, config) if blob.is_first_form(data) else _read(data, decoder, config)
+            return _read(data, decoder, config)
         except (KeyError, IndexError, TypeError, ValueError, BadField) as error:
             raise DataLoss("the stored neural map cannot be read") from error
 
@@ -155,35 +155,21 @@ class NeuralMap:
 
 
 def _read(data: bytes, decoder: DecoderWeights, config: ImplicitMapConfig) -> NeuralMap:
-    version, container = blob.version_of(data)
-    header, parts = blob.unpack(data, container)
-    if version == blob.FOURTH:
-        header["resolution"], header["weight_power"] = header["field"]
-        parts[:1] = blob.unpack_moments(parts[0])
-    form = Form.of_header(header, version)
-    codes, features = read_points(form, parts[2])
-    power, resolution = float(header["weight_power"]), float(header["resolution"])
+    header, (seen, stream, *rest) = blob.unpack(data)
+    similarity, differences = blob.unpack_moments(seen)
+    form = Form.of_header(header)
+    codes, features = read_points(form, stream)
+    resolution, power = map(float, header["field"])
     kind = Field.PLANES if header.get("decoder") is None else Field.LEARNED
     config = replace(config, resolution=resolution, weight_power=power, field=kind)
-    stamps = np.cumsum(np.frombuffer(parts[1], "<i8"))
+    stamps = np.cumsum(np.frombuffer(differences, "<i8"))
     planes = geometry(codes, resolution, form.normal_steps, form.offset_unit)
     points = NeuralPoints.remembered(*planes, hits_of(codes), len(stamps))
-    frame = _frame(np.frombuffer(parts[0], "<f8"))
+    frame = _frame(np.frombuffer(similarity, "<f8"))
     if kind is Field.PLANES:
         return NeuralMap.of_planes(points, stamps, config, frame)
-    own, adapted = _decoder_of(header, parts[3:], decoder)
+    own, adapted = _decoder_of(header, rest, decoder)
     return NeuralMap(points, features * np.float32(FEATURE_STEP), stamps, own, config, frame, adapted)
-
-
-def _read_first_form(data: bytes, decoder: DecoderWeights, config: ImplicitMapConfig) -> NeuralMap:
-    header, parts = blob.unpack(data, blob.FIRST_CONTAINER)
-    own, adapted = _decoder_of(header, parts[7:], decoder)
-    points, features = first_form.read_points(header, parts)
-    config = replace(
-        config, resolution=float(header["resolution"]), weight_power=first_form.WEIGHT_POWER, field=Field.LEARNED
-    )
-    stamps = np.asarray(header["stamps_ns"], dtype=np.int64)
-    return NeuralMap(points, features, stamps, own, config, _frame(header["T_submap_map"]), adapted)
 
 
 def _decoder_of(header: dict[str, Any], rest: list[bytes], shared: DecoderWeights) -> tuple[DecoderWeights, bool]:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from revisit.core.geometry import octahedral
 from revisit.core.geometry.voxel_keys import first_rows, voxel_keys
 from revisit.core.implicit_map.neural_points import NeuralPoints
-from revisit.core.kernels.plane_coder import FIXED, HIT_CLASSES
+from revisit.core.kernels.plane_guesses import FIXED, HIT_CLASSES
 from revisit.core.kernels.settled_planes import spots_on_planes
 
 Array = NDArray[np.float32]

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from revisit.core.kernels.loops import inlined, inner
-from revisit.core.kernels.plane_coder import FIXED
+from revisit.core.kernels.plane_guesses import FIXED
 
 Whole = NDArray[np.int32]
 Numbers = NDArray[np.int64]

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from revisit.core.kernels.loops import inlined, inner, loop
-from revisit.core.kernels.plane_coder import most_typical
+from revisit.core.kernels.plane_guesses import most_typical
 from revisit.core.kernels.range_coder import Coder, Models, code_bit
 from revisit.core.kernels.voxel_families import VoxelFamilies, beside, coded_neighbours
 

@@ -1,7 +1,7 @@
 """Tangent planes of voxels as a stream of bits, each guessed from the planes coded before it and all voxels around.
 
-As `mixed_planes`, but the hits come first, and a normal is guessed as it was made: from where voxels lie around
-its own, and from the direction to the middle of the map (docs/decisions/0287).
+The hits come first. A normal is guessed as it was made: from where voxels lie around its own, and from the direction to
+the middle of the map (docs/decisions/0287).
 """
 
 from __future__ import annotations
@@ -27,9 +27,20 @@ from revisit.core.kernels.expected_normals import (
 from revisit.core.kernels.loops import inlined, loop
 from revisit.core.kernels.mixed_coder import SLOTS, WAYS, Mixture, mixed_bit
 from revisit.core.kernels.mixed_octree import HEIGHTS, RANGES, range_class
-from revisit.core.kernels.mixed_planes import clipped, facing, nearest_hits, steepest, steps_of, turned
 from revisit.core.kernels.octree_nodes import NEIGHBOURS, OctreeLevel, list_neighbours
-from revisit.core.kernels.plane_coder import FIXED, HIT_CLASSES, SPREADS, guessed_offset, typical_normal
+from revisit.core.kernels.plane_guesses import (
+    FIXED,
+    HIT_CLASSES,
+    SPREADS,
+    clipped,
+    facing,
+    guessed_offset,
+    nearest_hits,
+    steepest,
+    steps_of,
+    turned,
+    typical_normal,
+)
 from revisit.core.kernels.range_coder import Coder, code_large
 
 LONE = 4
@@ -93,9 +104,14 @@ def code_guided_planes(
     coder: Coder, data: NDArray[np.uint8], mixture: Mixture, level: OctreeLevel, low: Numbers, codes: Whole,
     vectors: Whole, steps: int, normal_unit: int, offset_unit: int,
 ) -> None:  # fmt: skip
-    """Write `codes` (n, 4) of the voxels of a `level`, or read and fill them, as `code_mixed_planes`.
+    """Write `codes` (n, 4) of the voxels of a `level`, or read and fill them: octahedral normal (2), offset along it,
+    class of hits.
 
-    `low` (3,) is the voxel 0 of the level as seen from the middle of the map.
+    vectors[i, j] (3,) is the normal of codes i, j in parts of FIXED; codes run to 2 * `steps`. An offset counts units
+    of `offset_unit` parts of FIXED of a voxel's edge. A normal is written as steps of `normal_unit` codes from a
+    neighbour's, of two alike the smaller. Where that turns it, `codes` become what will be read: the plane goes through
+    the point of it that is nearest the voxel's centre, as it did. `low` (3,) is the voxel 0 of the level as seen from
+    the middle of the map.
     """
     units = np.array([steps, normal_unit, offset_unit])
     scratch = Scratch(

@@ -11,8 +11,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from revisit.core.kernels.loops import inlined, inner
-from revisit.core.kernels.range_coder import Coder, Models, code_large, fresh_models, learn, narrow
+from revisit.core.kernels.loops import inlined
+from revisit.core.kernels.range_coder import Coder, Models, fresh_models, learn, narrow
 
 WAYS = 5
 """Models that are asked for each bit."""
@@ -62,26 +62,3 @@ def mixed_bit(coder: Coder, data: NDArray[np.uint8], mixture: Mixture, slot: int
         weights[which, k] += (_STRETCH[models[at[k] + slot, 0] >> 4] * wrong * _RATE + (1 << 17)) >> 18
         learn(models, at[k] + slot, bit)
     return bit
-
-
-@inner
-def code_mixed_bit(coder: Coder, data: NDArray[np.uint8], mixture: Mixture, slot: int, which: int, bit: int) -> int:
-    """As `mixed_bit`, which is compiled into what calls it."""
-    return int(mixed_bit(coder, data, mixture, slot, which, bit))
-
-
-@inner
-def code_mixed_number(coder: Coder, data: NDArray[np.uint8], mixture: Mixture, which: int, value: int) -> int:
-    """Write or read a whole number between -2^16 and 2^16, small ones short.
-
-    Each of the models `mixture.at` is the first of SLOTS, and `which` is the first of SLOTS sets of weights.
-    """
-    if code_mixed_bit(coder, data, mixture, 0, which, 1 if value == 0 else 0):
-        return 0
-    negative = code_mixed_bit(coder, data, mixture, 1, which + 1, 1 if value < 0 else 0)
-    size, rest = 1, abs(value)
-    while size < SLOTS - 2:
-        if code_mixed_bit(coder, data, mixture, size + 1, which + size + 1, 1 if rest == size else 0):
-            return -size if negative else size
-        size += 1
-    return code_large(coder, data, mixture.models, mixture.at[0] + SLOTS - 1, rest - size, size, negative)

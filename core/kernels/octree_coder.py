@@ -13,7 +13,6 @@ from revisit.core.kernels.voxel_table import VoxelTable, add, find
 
 Voxels = NDArray[np.int32]
 
-OCTREE_MODELS = 3 * 8 * 64 * 8
 THINNED_MODELS = 4 * 8 * 64 * 8
 """Models of an octree of which a `Thinning` leaves voxels out."""
 RANKS = 1 << 16
@@ -30,9 +29,6 @@ class Thinning(NamedTuple):
     below: int
 
 
-_WHOLE = Thinning((0, 0, 0), RANKS)
-
-
 def ranks_of(voxels: NDArray[np.integer]) -> NDArray[np.int64]:
     """The rank (n,) of each voxel (n, 3), 0 to RANKS - 1."""
     return np.asarray(voxels.astype(np.int64) @ np.array(_STEPS) & (RANKS - 1))
@@ -40,13 +36,12 @@ def ranks_of(voxels: NDArray[np.integer]) -> NDArray[np.int64]:
 
 def code_octree(
     coder: Coder, data: NDArray[np.uint8], models: Models, voxels: Voxels, depth: int, count: int,
-    thinning: Thinning = _WHOLE,
+    thinning: Thinning,
 ) -> Voxels:  # fmt: skip
     """Write `voxels` (count, 3), distinct and in 0..2^depth-1, or read `count` where none are given.
 
-    Returns them in the order of the tree. With a `thinning` there are THINNED_MODELS models, else OCTREE_MODELS.
-
-    A damaged stream gives fewer or other voxels, never more than `count`.
+    Returns them in the order of the tree; there are THINNED_MODELS models. A damaged stream gives fewer or other
+    voxels, never more than `count`.
     """
     corner = int(ranks_of(np.array([thinning.low]))[0])
     parents, size = _table(1), 1

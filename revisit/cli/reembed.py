@@ -19,13 +19,15 @@ if TYPE_CHECKING:
 @needs("service")
 def reembed(
     maps: Annotated[
-        list[str] | None, typer.Argument(help="Ids of maps; by default all that are of another model.")
+        list[str] | None,
+        typer.Argument(help="Ids of maps, described again in any case; by default all of another model."),
     ] = None,
     home: Home = None,
     json: Json = False,
 ) -> None:
     """Describe the submaps of older maps again with the installed model, from their stored neural maps.
 
+    Of a submap whose neural map is damaged or of a form no longer read, from its scans: name its map for that.
     Each map changes in one step at its end; an interrupted run goes on where it ended. Loop closures stay as they are.
     """
     from revisit.service.composition import offline_reembedding
@@ -35,9 +37,8 @@ def reembed(
         pass  # the database is there and of this version
     done = []
     with offline_reembedding(settings_here(home)) as work, progress_bar(quiet=json) as bar:
-        stale = [record for record in work.stale_maps() if not maps or record.map_id in maps]
         report = reporter(bar)
-        for record in stale:
+        for record in work.named_maps(maps) if maps else work.stale_maps():
             done.append(work.reembed(record, partial(report, f"map {record.map_id}")))
     if json:
         emit_json([_as_json(one) for one in done])

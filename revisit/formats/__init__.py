@@ -98,7 +98,7 @@ _MAGIC = {
     PLY: (b"ply\n", b"ply\r"),
     NPY: (npy.MAGIC,),
     POINTCLOUD2: (pointcloud2.MAGIC,),
-    QUANTISED: (quantised.MAGIC, quantised.FORMER_MAGIC),
+    QUANTISED: (quantised.MAGIC,),
 }
 # Files people send by mistake: zip (npz, torch, xlsx), LAS/LAZ, E57, PNG, JPEG, GIF, HDF5, gzip, zstd, bag, MCAP, PDF.
 _FOREIGN_MAGIC = (

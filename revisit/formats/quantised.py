@@ -15,9 +15,6 @@ point before, where a is x if |x| >= |y| at the point before, else y; the second
 differs from what is expected, the third z. A column is zigzag-coded (uint32; uint16 for intensity, the difference
 modulo 2^16) and stored as byte planes: all lowest bytes first, all highest last. Coordinates are round(value / step),
 at most 2^24. Lossy: half a step, 0.5 mm. Non-finite points cannot be written.
-
-Magic "RVQ1" is the form of former clients, and is read: its frame begins at 16, and its columns are differences of x, y
-and z to the point before.
 """
 
 from __future__ import annotations
@@ -35,13 +32,11 @@ from revisit.formats.cloud import CloudLimits, DecodedCloud, checked_for_writing
 from revisit.formats.ray_prediction import Prediction, residuals
 
 MAGIC = b"RVQ2"
-FORMER_MAGIC = b"RVQ1"
 STEP_M = 0.001
 MAX_COORDINATE_M = 10_000.0
 _MAX_STEP = 1_000  # a step has a metre at most
 ZSTD_LEVEL = 3
 
-_FORMER_HEADER = struct.Struct("<4sIff")
 _HEADER = struct.Struct("<4sIffBBH")
 
 
@@ -69,13 +64,12 @@ def encode(points: NDArray[np.floating], intensity: NDArray[np.floating] | None 
 
 def decode(data: bytes, limits: CloudLimits) -> DecodedCloud:
     """The points on their grid. Raises MalformedBody, TooLarge."""
-    head, predictions = _head(data)
-    _, count, step, intensity_step = _FORMER_HEADER.unpack_from(data)
+    count, step, intensity_step, predictions = _head(data)
     if not 0.0 < step <= 1.0 or not (math.isfinite(intensity_step) and intensity_step >= 0.0):
         raise MalformedBody("a quantised cloud has an impossible step")
     require_point_count(count, limits)
     size = count * (14 if intensity_step else 12)
-    content = memoryview(decompress_zstd(memoryview(data)[head:], size))
+    content = memoryview(decompress_zstd(memoryview(data)[_HEADER.size :], size))
     if len(content) != size:
         raise MalformedBody(f"{count} quantised points need {size} bytes, the frame holds {len(content)}")
     from revisit.formats import quantised_columns as columns  # numba takes long to import, and clients decode nothing
@@ -83,27 +77,22 @@ def decode(data: bytes, limits: CloudLimits) -> DecodedCloud:
     planes = np.frombuffer(content, dtype=np.uint8)
     # The header's step is float32; the grid is meant in exact steps such as 0.001.
     step = round(step, 9)
-    if predictions is None:
-        points = columns.coordinates(planes, count, step)
-    else:
-        points, right = columns.coordinates_on_rays(planes, count, step, *predictions)
-        if not right:
-            raise MalformedBody("a quantised cloud has a coordinate beyond 2^24 steps")
+    points, right = columns.coordinates_on_rays(planes, count, step, *predictions)
+    if not right:
+        raise MalformedBody("a quantised cloud has a coordinate beyond 2^24 steps")
     if not intensity_step:
         return DecodedCloud(points)
     return DecodedCloud(points, columns.intensities(planes[12 * count :], count, intensity_step))
 
 
-def _head(data: bytes) -> tuple[int, tuple[Prediction, Prediction] | None]:
-    """Bytes of the header, and how b and z are expected: None in the former form. Raises MalformedBody."""
-    if data.startswith(FORMER_MAGIC) and len(data) >= _FORMER_HEADER.size:
-        return _FORMER_HEADER.size, None
+def _head(data: bytes) -> tuple[int, float, float, tuple[Prediction, Prediction]]:
+    """Number of points, step, step of intensities, and how b and z are expected. Raises MalformedBody."""
     if not data.startswith(MAGIC) or len(data) < _HEADER.size:
-        raise MalformedBody("the body is not a quantised cloud")
-    *_, of_side, of_height, rest = _HEADER.unpack_from(data)
+        raise MalformedBody("the body is not a quantised cloud of this version")
+    _, count, step, intensity_step, of_side, of_height, rest = _HEADER.unpack_from(data)
     if rest or max(of_side, of_height) > max(Prediction):
         raise MalformedBody("a quantised cloud has a prediction that is not known")
-    return _HEADER.size, (Prediction(of_side), Prediction(of_height))
+    return count, step, intensity_step, (Prediction(of_side), Prediction(of_height))
 
 
 def _coarsest(millimetres: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:

@@ -13,22 +13,6 @@ Bytes = NDArray[np.uint8]
 _DIFFERENCE, _TURNED = int(Prediction.DIFFERENCE), int(Prediction.TURNED)
 
 
-@njit(nogil=True, cache=True)
-def coordinates(planes: Bytes, count: int, step_m: float) -> NDArray[np.float32]:
-    """Points (count, 3) in metres of three columns of zigzag-coded differences, four byte planes of `count` each."""
-    points = np.empty((count, 3), dtype=np.float32)
-    for axis in range(3):
-        first, second = np.uint64(4 * axis * count), np.uint64((4 * axis + 1) * count)
-        third, fourth = np.uint64((4 * axis + 2) * count), np.uint64((4 * axis + 3) * count)
-        total = np.int64(0)  # of 32 bits each: nothing overflows
-        for row in range(np.uint64(count)):
-            low = np.uint32(planes[first + row]) | np.uint32(planes[second + row]) << np.uint32(8)
-            high = np.uint32(planes[third + row]) << np.uint32(16) | np.uint32(planes[fourth + row]) << np.uint32(24)
-            total += _unfolded(low | high)
-            points[row, axis] = total * step_m
-    return points
-
-
 @njit(nogil=True, cache=True, error_model="numpy")
 def coordinates_on_rays(
     planes: Bytes, count: int, step_m: float, of_side: int, of_height: int
@@ -71,9 +55,8 @@ def intensities(planes: Bytes, count: int, step: float) -> NDArray[np.float32]:
 
 
 def rehearse() -> None:
-    """Sum up a point of either form, for the compiler's sake alone."""
+    """Sum up a point, for the compiler's sake alone."""
     planes = np.frombuffer(bytes(14), dtype=np.uint8)
-    coordinates(planes, 1, 1.0)
     coordinates_on_rays(planes, 1, 1.0, Prediction.DIFFERENCE, Prediction.DIFFERENCE)
     intensities(planes[12:], 1, 1.0)
 

@@ -83,7 +83,7 @@ def lzf(packed: bytes, packed_size: int | None = None, size: int = 64) -> Callab
 
 def quantised_zeros(count: int) -> bytes:
     """A quantised cloud whose points are all zero."""
-    return struct.pack("<4sIff", b"RVQ1", count, 0.001, 0.0) + zstandard.compress(bytes(12 * count))
+    return struct.pack("<4sIffI", b"RVQ2", count, 0.001, 0.0, 0) + zstandard.compress(bytes(12 * count))
 
 
 def zipped(members: dict[str, bytes], method: int = zipfile.ZIP_STORED) -> Callable[[], bytes]:
@@ -150,7 +150,7 @@ def sizes_and_values() -> Bodies:
 def wrong_counts() -> Bodies:
     """G16-G18: headers that promise more than there is."""
     bodies: Bodies = {
-        "G16-100-million.rvq": lambda: struct.pack("<4sIff", b"RVQ1", 10**8, 0.001, 0.0) + bytes(48),
+        "G16-100-million.rvq": lambda: struct.pack("<4sIffI", b"RVQ2", 10**8, 0.001, 0.0, 0) + bytes(48),
         "G16-100-million.pc2": lambda: valid_files(records(2))["pointcloud2"][1].replace(
             struct.pack("<II", 1, 2), struct.pack("<II", 10**8, 1)
         ),

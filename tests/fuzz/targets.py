@@ -11,7 +11,7 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
-from revisit.core import place_first_form, place_form, place_second_form, place_third_form
+from revisit.core import place_form
 from revisit.core.errors import DataLoss, RevisitError
 from revisit.core.implicit_map import blob
 from revisit.core.place import Place
@@ -27,7 +27,7 @@ from revisit.service.rest.schemas import CreateMapRequest, SearchRequest
 
 LIMITS = CloudLimits(max_decoded_bytes=2**20, max_points=20_000)
 DIGEST_BYTES = 16
-"""How much of the SHA-256 a place ends with."""
+"""How much of the SHA-256 a place and a neural map end with."""
 
 FILES = Path(__file__).resolve().parents[1] / "corpus/files"
 
@@ -97,22 +97,13 @@ TARGETS: dict[str, Target] = {
     "json search": refusing(lambda data: parse_json(data, SearchRequest, HttpLimits()), RevisitError),
     "page token": refusing(lambda data: TOKENS.number_in(DEFAULT_TENANT, data.decode("latin-1")), RevisitError),
     "neural map": refusing(blob.unpack, DataLoss),
-    "neural map behind its checksum": behind_checksum(blob.unpack, blob.CONTAINER.magic, 32),
+    "neural map behind its checksum": behind_checksum(blob.unpack, blob.CONTAINER.magic, DIGEST_BYTES),
     "place": refusing(Place.from_blob, DataLoss),
     "place behind its checksum": behind_checksum(Place.from_blob, place_form.MAGIC, DIGEST_BYTES),
-    "third form of a place behind its checksum": behind_checksum(
-        Place.from_blob, place_third_form.CONTAINER.magic, DIGEST_BYTES
-    ),
-    "second form of a place behind its checksum": behind_checksum(
-        Place.from_blob, place_second_form.CONTAINER.magic, DIGEST_BYTES
-    ),
-    "first form of a place behind its checksum": behind_checksum(
-        Place.from_blob, place_first_form.CONTAINER.magic, DIGEST_BYTES
-    ),
     "stored cloud": refusing(unpack_cloud, DataLoss),
     "stored mesh": refusing(unpack_mesh, DataLoss),
 }
-"""By name. The last seven read what the service itself has stored: damage to them is DATA_LOSS, never a crash."""
+"""By name. The last four read what the service itself has stored: damage to them is DATA_LOSS, never a crash."""
 
 
 def main() -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import gzip
-import json
 import os
 import struct
 
@@ -23,14 +22,9 @@ from revisit.service.application.mapping.packed_meshes import pack_mesh
 from tests.fuzz.targets import DIGEST_BYTES, FILES, TARGETS, refusing
 from tests.support.campaigns import Campaign
 from tests.support.cloud_files import records, valid_files
-from tests.support.old_places import SECOND_FORM, THIRD_FORM_OF_A_YARD
 from tests.support.places import a_place
 
 EXAMPLES = int(os.environ.get("REVISIT_FUZZ_EXAMPLES", "40"))
-
-
-NOTHING = zstandard.compress(b"")
-LEVEL = np.eye(4)[:3].tolist()
 
 
 def seeds() -> dict[str, list[bytes]]:
@@ -40,11 +34,8 @@ def seeds() -> dict[str, list[bytes]]:
     for media_type, data in valid_files(values).values():
         by_type[media_type].append(data)
     triangle = Mesh(values[:3, :3], np.tile(np.float32([0, 0, 1]), (3, 1)), np.array([[0, 1, 2]], dtype=np.int32))
-    header = {"keypoints": 0, "size": 0, "points": 0, "standing": 0, "model": "m", "T_level_submap": LEVEL}
-    head = json.dumps(header).encode()
     stored = a_place(values[:8, :2]).to_blob()
     neural_map = blob.pack({"count": 0}, [b"abc", b""])
-    sections = struct.pack("<II", len(head), len(NOTHING)) + head + NOTHING
     return {
         **by_type,
         "gzip": [gzip.compress(values.tobytes(), mtime=0)],
@@ -54,12 +45,9 @@ def seeds() -> dict[str, list[bytes]]:
         "json search": [b'{"descriptor": [1.0, 2e3], "model_version": "m", "k": 3, "prior_position_m": [0, 1, 2]}'],
         "page token": [b"YWZ0ZXI6MTI="],
         "neural map": [neural_map],
-        "neural map behind its checksum": [neural_map[len(blob.CONTAINER.magic) : -32]],
+        "neural map behind its checksum": [neural_map[len(blob.CONTAINER.magic) : -DIGEST_BYTES]],
         "place": [stored],
         "place behind its checksum": [stored[len(place_form.MAGIC) : -DIGEST_BYTES]],
-        "third form of a place behind its checksum": [THIRD_FORM_OF_A_YARD[len(place_form.MAGIC) : -DIGEST_BYTES]],
-        "second form of a place behind its checksum": [SECOND_FORM[len(place_form.MAGIC) : -DIGEST_BYTES]],
-        "first form of a place behind its checksum": [sections],
         "stored cloud": [pack_cloud(StoredCloud(values[:, :3], values[:, 3])), *by_type[QUANTISED]],
         "stored mesh": [pack_mesh(triangle)],
     }

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from typer.testing import CliRunner
 
 from revisit.cli.app import app
 from revisit.core.errors import DegenerateCloud
+from revisit.core.implicit_map import blob
 from revisit.core.index import FaissIndex
 from revisit.service.adapters.files.file_drafts import FileDrafts
 from revisit.service.adapters.vector_index import PlaceVectorIndex
@@ -119,6 +121,31 @@ async def test_a_submap_without_its_neural_map_is_described_from_its_scans(world
     newer = Newer()
     done = work_of(world, newer, drafts).reembed(map_of(world))
     assert (done.from_scans, done.failures, newer.from_scans) == (1, {}, 1)
+
+
+def former(world, row) -> str:
+    """A blob of a former form of a neural map; its hash."""
+    return world.context.blobs.put(TENANT, NEURAL_MAP_BLOB, b"RVNM\x02" + row.submap_id.encode())
+
+
+async def test_neural_maps_of_a_former_form_are_made_anew_from_the_scans_of_a_named_map(world, drafts):
+    def put_back(uow):
+        for row in uow.submaps.find(TENANT, map_id=SESSION.map_id):
+            uow.submaps.replace(replace(row, neural_map_sha256=former(world, row)))
+
+    class Today(FakeRecogniser):
+        def describe_again(self, neural_map, place, config):
+            return super().describe_again(blob.unpack(neural_map), place, config)
+
+    before = rows_of(world)
+    world.context.transactions.write(put_back).result()
+    work = work_of(world, Today(), drafts)
+    assert work.stale_maps() == work.named_maps(["elsewhere"]) == []
+    (named,) = work.named_maps([SESSION.map_id])
+    done = work.reembed(named)
+    assert (done.submaps, done.from_scans, done.failures) == (3, 3, {})
+    assert [row.neural_map_sha256 for row in rows_of(world)] == [row.neural_map_sha256 for row in before]
+    assert [row.descriptor for row in rows_of(world)] == [row.descriptor for row in before]
 
 
 async def test_a_submap_whose_place_is_gone_is_described_from_its_neural_map_alone(world, drafts):

@@ -38,10 +38,14 @@ class SubmapDescription:
 
 @dataclass(frozen=True)
 class Redescription:
-    """What a recogniser makes of a stored neural map: `descriptor` (d,) float32 and the blob of the place."""
+    """What a recogniser makes of a stored neural map: `descriptor` (d,) float32 and the blob of the place.
+
+    `neural_map` is the blob of a new one, where the stored one could not be used and scans were described instead.
+    """
 
     descriptor: NDArray[np.float32]
     place: bytes
+    neural_map: bytes | None = None
 
 
 class PlaceKeeper(Protocol):

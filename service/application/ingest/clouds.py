@@ -17,7 +17,7 @@ import zstandard
 from numpy.typing import NDArray
 
 from revisit.core.container import decompressed, from_byte_planes, to_byte_planes
-from revisit.core.errors import BadField, DataLoss, RevisitError, TooLarge
+from revisit.core.errors import BadField, DataLoss, FormerForm, RevisitError, TooLarge
 from revisit.core.scan import CloudReport, Points, validate_cloud
 from revisit.formats import CloudLimits, DecodedCloud, decode_cloud, quantised
 from revisit.formats.cloud import DEFAULT_LIMITS, decode_content
@@ -37,6 +37,7 @@ P = ParamSpec("P")
 T = TypeVar("T")
 
 _MAGIC = b"RVC1"
+_FORMER_MAGIC = b"RVQ1"
 _HEADER = struct.Struct("<4sIB")
 _HEADER_BYTES = 64 * 2**10
 # The line of a PCD or PLY header that says so.
@@ -132,9 +133,11 @@ def pack_cloud(cloud: StoredCloud) -> bytes:
 
 
 def unpack_cloud(blob: bytes) -> StoredCloud:
-    """The cloud of `pack_cloud`. Raises DataLoss for anything else."""
-    if blob.startswith((quantised.MAGIC, quantised.FORMER_MAGIC)):
+    """The cloud of `pack_cloud`. Raises FormerForm, DataLoss for anything else."""
+    if blob.startswith(quantised.MAGIC):
         return _dequantised(blob)
+    if blob.startswith(_FORMER_MAGIC):
+        raise FormerForm("stored cloud", "its robot has to send it again")
     try:
         magic, count, width = _HEADER.unpack_from(blob)
         size = count * width * 4

@@ -1,4 +1,4 @@
-"""Maps of an older model get the descriptors of today's, from their stored neural maps instead of the scans.
+"""Maps of an older model get the descriptors of today's, from their stored neural maps, or from scans without one.
 
 What is made of each submap is kept as a draft, so that an interrupted run goes on where it ended. The map changes in
 one transaction: before it, everything is as the old model left it, and after it as the new one. Loop closures stay as
@@ -28,7 +28,7 @@ from revisit.service.application.ingest.submap_source import load_submap, submap
 
 Told = Callable[[int, int], None]
 
-_DRAFT = Container(magic=b"RVDRAFT1", noun="draft of a description", level=3, max_body_bytes=64 * 2**20)
+_DRAFT = Container(magic=b"RVDRAFT2", noun="draft of a description", level=3, max_body_bytes=64 * 2**20)
 
 
 class Drafts(Protocol):
@@ -83,8 +83,15 @@ class Reembedding:
 
     def stale_maps(self) -> list[MapRecord]:
         """The maps of all tenants whose descriptors are of another model."""
+        return [one for one in self._described_maps() if one.model_version != self._model(one)]
+
+    def named_maps(self, map_ids: Sequence[str]) -> list[MapRecord]:
+        """The described maps of all tenants with these ids, whatever their model."""
+        return [one for one in self._described_maps() if one.map_id in map_ids]
+
+    def _described_maps(self) -> list[MapRecord]:
         every = self._transactions.read(lambda uow: uow.maps.of_all_tenants()).result()
-        return [record for record in every if record.model_version not in (None, self._model(record))]
+        return [one for one in every if one.model_version is not None]
 
     def reembed(self, record: MapRecord, told: Told = lambda *_: None) -> Reembedded:
         """Describe every described submap of the map again and commit; `told` hears how many of how many are done.
@@ -136,7 +143,9 @@ class Reembedding:
         except RevisitError:
             source = self._transactions.read(lambda uow: submap_source(uow, self._policy, submap)).result()
             whole = self._recogniser.describe(load_submap(self._blobs, submap, source), config)
-            return _Renewed(submap, Redescription(whole.descriptor, whole.place), from_scans=True)
+            return _Renewed(
+                submap, Redescription(whole.descriptor, whole.place, whole.neural_map), from_scans=True
+            )  # fmt: skip
 
     def _place_before(self, submap: SubmapRecord) -> bytes | None:
         """The place that the older model left, which knows what only the scans tell; None where it is gone."""
@@ -159,18 +168,23 @@ class Reembedding:
                 # What nobody named yet may have been swept away meanwhile.
                 if not self._blobs.exists(row.tenant, PLACE_BLOB, str(row.place_sha256)):
                     self._blobs.put(row.tenant, PLACE_BLOB, one.description.place)
+                if one.description.neural_map is not None:
+                    self._blobs.put(row.tenant, NEURAL_MAP_BLOB, one.description.neural_map)
                 uow.changes.record_described(row.tenant, record.number, row.number)
             uow.submaps.replace(row)
         uow.maps.replace(replace(current, model_version=self._model(record)))
         return True
 
     def _row(self, record: MapRecord, renewed: _Renewed) -> SubmapRecord:
-        """The submap's row as it is to be; its place is stored before any row names it."""
+        """The submap's row as it is to be; its blobs are stored before any row names them."""
         submap, again, error = renewed.submap, renewed.description, renewed.error
         if again is None or error is not None:
             code, message = (None, None) if error is None else (error.code.value, error.message)
             failed = SubmapState.FAILED.value
             return replace(submap, state=failed, descriptor=None, failure_code=code, failure_message=message)
+        if again.neural_map is not None:
+            sha256 = self._blobs.put(submap.tenant, NEURAL_MAP_BLOB, again.neural_map)
+            submap = replace(submap, neural_map_sha256=sha256, neural_map_bytes=len(again.neural_map))
         return replace(
             submap,
             model_version=self._model(record),
@@ -185,7 +199,12 @@ def _described(uow: UnitOfWork, record: MapRecord) -> list[SubmapRecord]:
 
 def _draft(described: Redescription) -> bytes:
     descriptor = np.asarray(described.descriptor, dtype="<f4").tobytes()
-    return _DRAFT.pack({"descriptor": len(descriptor)}, descriptor + described.place)
+    lengths = {
+        "descriptor": len(descriptor),
+        "place": len(described.place),
+        "renewed": described.neural_map is not None,
+    }
+    return _DRAFT.pack(lengths, descriptor + described.place + (described.neural_map or b""))
 
 
 def _read_draft(data: bytes | None) -> Redescription | None:
@@ -196,5 +215,6 @@ def _read_draft(data: bytes | None) -> Redescription | None:
         header, body = _DRAFT.unpack(data)
     except DataLoss:
         return None
-    end = int(header["descriptor"])
-    return Redescription(np.frombuffer(body[:end], dtype="<f4"), body[end:])
+    start, end = header["descriptor"], header["descriptor"] + header["place"]
+    neural_map = body[end:] if header["renewed"] else None
+    return Redescription(np.frombuffer(body[:start], dtype="<f4"), body[start:end], neural_map)

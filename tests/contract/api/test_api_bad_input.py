@@ -22,7 +22,7 @@ BAD_CLOUDS = {
     "no points": (Cloud(encode_npy(GOOD[:0]), NPY), "EMPTY_CLOUD"),
     "truncated": (Cloud(QUANTISED_GOOD[:-9], QUANTISED), "MALFORMED_BODY"),
     "4 billion points": (
-        Cloud(struct.pack("<4sIff", b"RVQ1", 2**32 - 1, 0.001, 0.0) + QUANTISED_GOOD[16:], QUANTISED),
+        Cloud(QUANTISED_GOOD[:4] + struct.pack("<I", 2**32 - 1) + QUANTISED_GOOD[8:], QUANTISED),
         "TOO_LARGE",
     ),
     "an unknown content type": (Cloud(GOOD.tobytes(), "application/x-unheard-of"), "UNSUPPORTED_ENCODING"),

@@ -12,7 +12,7 @@ from revisit.core.implicit_map.map_chances import fresh_mixtures
 from revisit.core.kernels import expected_normals, mixed_octree
 from revisit.core.kernels.expected_normals import EXPECTED, expect_normal, least_axis, octahedral_code
 from revisit.core.kernels.mixed_octree import code_mixed_octree
-from revisit.core.kernels.octree_coder import OCTREE_MODELS, code_octree
+from revisit.core.kernels.octree_coder import RANKS, THINNED_MODELS, Thinning, code_octree
 from revisit.core.kernels.octree_nodes import STEPS, OctreeLevel, neighbours_of_all
 from revisit.core.kernels.range_coder import finish, fresh_models, start
 
@@ -37,7 +37,8 @@ def test_an_octree_is_read_as_it_was_written_in_the_order_of_the_plain_one():
     level, stream = written(voxels, 4)
     read = code_mixed_octree(start(stream, True), stream, fresh_mixtures().octree, voxels[:0], LOW, 4, len(voxels))
     data = np.zeros(8000, np.uint8)
-    plain = code_octree(start(data, False), data, fresh_models(OCTREE_MODELS), voxels, 4, len(voxels))
+    models, whole = fresh_models(THINNED_MODELS), Thinning((0, 0, 0), RANKS)
+    plain = code_octree(start(data, False), data, models, voxels, 4, len(voxels), whole)
     assert np.array_equal(read.voxels, plain) and np.array_equal(level.voxels, plain)
     for one, other in zip(level, read, strict=True):
         assert np.array_equal(one, other)

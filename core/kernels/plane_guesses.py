@@ -1,55 +1,18 @@
-"""Tangent planes of voxels as a stream of bits: each is guessed from the planes around it that are already coded."""
+"""Guesses of a tangent plane from the planes around it that are already coded, and differences from them."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
 
-from revisit.core.kernels.loops import inner, loop
-from revisit.core.kernels.range_coder import UNARY, Coder, Models, code_bit, code_number
-from revisit.core.kernels.voxel_families import VoxelFamilies, coded_neighbours
+from revisit.core.kernels.loops import inlined, inner
 
 FIXED = 1024
 """Parts of a voxel's edge, and of a unit vector, in which guesses are computed: whole numbers on every machine."""
 HIT_CLASSES = 4
 SPREADS = 8
 """Classes of how far guesses spread; the last is for no guess."""
-_FIRST_NORMAL = 0
-_SECOND_NORMAL = _FIRST_NORMAL + SPREADS * UNARY
-_OFFSET = _SECOND_NORMAL + SPREADS * 3 * UNARY
-_HITS = _OFFSET + 2 * SPREADS * UNARY
-PLANE_MODELS = _HITS + 64 * HIT_CLASSES
-
 Whole = NDArray[np.int32]
-
-
-@loop
-def code_planes(
-    coder: Coder, data: NDArray[np.uint8], models: Models, families: VoxelFamilies, codes: Whole, vectors: Whole,
-    steps: int, offset_unit: int,
-) -> None:  # fmt: skip
-    """Write `codes` (n, 4), or read and fill them: octahedral normal (2), offset along it, class of hits.
-
-    `families` are those of the voxels, which are coded in their order. vectors[i, j] (3,) is the normal of codes i, j
-    in parts of FIXED; codes run to 2 * `steps`. An offset counts units of `offset_unit` parts of FIXED of a
-    voxel's edge.
-    """
-    near = families.near
-    for row in range(len(codes)):
-        count = coded_neighbours(families, row)
-        a, b, spread = steps, steps, SPREADS - 1
-        if count > 0:
-            guess, spread = typical_normal(codes, near, count, steps)
-            a, b = codes[guess, 0], codes[guess, 1]
-        first = code_number(coder, data, models, _FIRST_NORMAL + spread * UNARY, codes[row, 0] - a)
-        model = _SECOND_NORMAL + (3 * spread + min(abs(first), 2)) * UNARY
-        codes[row, 0] = min(max(a + first, 0), 2 * steps)
-        codes[row, 1] = min(max(b + code_number(coder, data, models, model, codes[row, 1] - b), 0), 2 * steps)
-        parts, spread, _ = guessed_offset(families.voxels, near, codes, vectors, row, count, offset_unit)
-        guess = (parts + offset_unit // 2) // offset_unit
-        model = _OFFSET + spread * UNARY
-        codes[row, 2] = guess + code_number(coder, data, models, model, codes[row, 2] - guess)
-        _code_hits(coder, data, models, codes, row, near, count)
 
 
 @inner
@@ -120,17 +83,47 @@ def guessed_offset(
     return total // weights, spread, weights
 
 
-@inner
-def _code_hits(
-    coder: Coder, data: NDArray[np.uint8], models: Models, codes: Whole, row: int, near: Whole, count: int
-) -> None:
-    """The class of hits, guessed from the two nearest neighbours: one bit for each class below it."""
+@inlined
+def turned(offset: int, before: Whole, after: Whole) -> int:
+    """The offset of a plane through the foot of another, whose normal was `before`."""
+    alike = before[0] * after[0] + before[1] * after[1] + before[2] * after[2]
+    return int((2 * offset * alike + FIXED * FIXED) // (2 * FIXED * FIXED))
+
+
+@inlined
+def nearest_hits(codes: Whole, near: Whole, count: int) -> tuple[int, int, int, int]:
+    """The classes of hits of the first three of `count` rows `near`, and eight times the mean of the first eight."""
     a = codes[near[0], 3] if count > 0 else HIT_CLASSES - 1
     b = codes[near[1], 3] if count > 1 else HIT_CLASSES - 1
-    value = 0
-    while value < HIT_CLASSES - 1:
-        model = _HITS + ((a * HIT_CLASSES + b) * HIT_CLASSES + value)
-        if code_bit(coder, data, models, model, 1 if codes[row, 3] == value else 0):
-            break
-        value += 1
-    codes[row, 3] = value
+    c = codes[near[2], 3] if count > 2 else HIT_CLASSES - 1
+    some, mean = min(count, 8), 0
+    for k in range(some):
+        mean += codes[near[k], 3]
+    mean = (8 * mean + some // 2) // some if some > 0 else 30
+    return a, b, c, mean
+
+
+@inlined
+def steps_of(difference: int, unit: int) -> int:
+    """How many times `unit`; half a unit is none."""
+    size = (2 * abs(difference) + unit - 1) // (2 * unit)
+    return size if difference >= 0 else -size
+
+
+@inlined
+def clipped(difference: int, most: int) -> int:
+    """A difference of at most `most` as a number from 0 on."""
+    return min(max(difference, -most), most) + most
+
+
+@inlined
+def facing(a: int, b: int, steps: int) -> int:
+    """One of 16 x 16 directions."""
+    return 16 * (a * 15 // (2 * steps)) + b * 15 // (2 * steps)
+
+
+@inlined
+def steepest(normal: Whole) -> int:
+    """The axis that a normal is nearest to."""
+    x, y, z = abs(normal[0]), abs(normal[1]), abs(normal[2])
+    return 0 if x >= y and x >= z else 1 if y >= z else 2
