@@ -25,10 +25,10 @@ from revisit.evaluation.drive_acceptance import (
     ranked_matches,
     rule_prices,
 )
+from revisit.evaluation.ground_truth import GroundTruth
 from revisit.evaluation.loop_closure_method import LoopClosureMethod, RevisitMethod
 from revisit.evaluation.matching import QueryMatches, RankedCandidate, VerificationWork, search_map, verify_all
 from revisit.evaluation.perturbations import Perturbation
-from revisit.evaluation.protocols.ground_truth import GroundTruth
 from revisit.evaluation.scene import estimate_scene_scale
 from revisit.evaluation.summary import summarise
 

@@ -1,12 +1,11 @@
 """Recall in maps of a fleet's size: true places among many that are none, by the index that the service uses.
 
 `python -m lab.distractors DRIVE.npz OTHER.npz [OTHER.npz ...]` prints a table for the descriptors of a
-drive that `revisit bench domains` has kept, among places made up from those of other drives.
+drive that `lab.domains` has kept, among places made up from those of other drives.
 """
 
 from __future__ import annotations
 
-import sys
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -15,6 +14,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from lab.command_line import run
 from revisit.core.index import FaissIndex, IndexEntry, SearchFilter
 from revisit.evaluation.metrics import Flags, LoopProtocol, positive_pairs
 
@@ -98,14 +98,17 @@ def _entries(start: int, count: int) -> list[IndexEntry]:
     ]
 
 
-def main(files: Sequence[str], counts: Sequence[int] = (0, 10_000, 100_000)) -> None:
-    """Print recall of the drive in the first file, among as many places made up from the others as `counts` say."""
-    with np.load(Path(files[0])) as kept:
+COUNTS = (0, 10_000, 100_000)
+
+
+def main(drive: Path, others: list[Path]) -> None:
+    """Print recall of a drive among places made up from the others; files as `lab.domains` keeps them."""
+    with np.load(drive) as kept:
         vectors, positions = kept["vectors"], kept["positions"]
-    pool = np.concatenate([np.load(Path(file))["vectors"] for file in files[1:]])
+    pool = np.concatenate([np.load(file)["vectors"] for file in others])
     print("| distractors | queries with a loop | recall@1 | recall@20 | add (CPU s) | search (ms) | learn (CPU s) |")
     print("|---|---|---|---|---|---|---|")
-    for count in counts:
+    for count in COUNTS:
         distractors = made_up_places(pool, count, np.random.default_rng(7))
         row = fleet_recall(vectors, positions, distractors, LoopProtocol(min_index_gap=15))
         print(
@@ -116,4 +119,4 @@ def main(files: Sequence[str], counts: Sequence[int] = (0, 10_000, 100_000)) -> 
 
 
 if __name__ == "__main__":
-    main(sys.argv[1:])
+    run(main)

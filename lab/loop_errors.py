@@ -6,7 +6,6 @@ REVISIT_DATA names its folder) and made-up towns and roads; truth is the recordi
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -21,6 +20,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
+from lab.command_line import run
+from lab.domains.catalogue import DOMAINS, Domain, Setting
+from lab.worlds.drives import DrivenWorld
 from revisit.core.config import PipelineConfig, SubmapConfig, VerificationConfig
 from revisit.core.geometry import se3
 from revisit.core.pipeline import verify
@@ -29,8 +31,6 @@ from revisit.core.verification import VerifiedLoop
 from revisit.evaluation.cutting import cut
 from revisit.evaluation.datasets import Recording
 from revisit.evaluation.described_submaps import DescribedSubmap, DescriptionWork, describe_submap
-from revisit.evaluation.domains.catalogue import DOMAINS, Domain, Setting
-from revisit.evaluation.domains.drives import DrivenWorld
 from revisit.evaluation.loop_closure_method import RevisitMethod
 from revisit.evaluation.perturbations import Perturbation
 
@@ -261,4 +261,4 @@ def main(out: Path) -> None:
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]))
+    run(main)

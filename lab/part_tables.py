@@ -1,35 +1,37 @@
 """What each part of the product's descriptor is worth where sensor, density or day differ (paper Table III).
 
 `python -m lab.part_tables OUT [DRIVE ...]` prints, for each condition, the mean area under the curve of
-the simulated test drives (`protocols.towns`), whole and without a part each, with intervals of paired draws. OUT keeps
+the simulated test drives (`lab.worlds.towns`), whole and without a part each, with intervals of paired draws. OUT keeps
 the drives and the descriptors; a second run goes on where the first ended. Similarities are standardised by the map.
 """
 
 from __future__ import annotations
 
 import hashlib
-import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 import torch
+import typer
 from numpy.typing import NDArray
 
+from lab.command_line import run
+from lab.recognition.benchmark_plan import HARDER, PLAIN, TURNED, BenchmarkPlan
+from lab.worlds.towns import DRIVES, SESSIONS, SimulatedDrive
 from revisit.core.config import FusionConfig, PipelineConfig
 from revisit.core.descriptor.fusion import without_parts
 from revisit.core.model_bundle import load_packaged_models
 from revisit.evaluation.ablation import Ablation
 from revisit.evaluation.cutting import cut
 from revisit.evaluation.described_submaps import DescribedSubmap, DescriptionWork, describe_submap
+from revisit.evaluation.ground_truth import GroundTruth
 from revisit.evaluation.loop_closure_method import Description, RevisitMethod
 from revisit.evaluation.matching import search_map
 from revisit.evaluation.metrics import Interval, LoopProtocol, Outcomes, best_f1, mean_auc, precision_recall
 from revisit.evaluation.perturbations import Perturbation
-from revisit.evaluation.protocols.benchmark_plan import HARDER, PLAIN, TURNED, BenchmarkPlan
-from revisit.evaluation.protocols.ground_truth import GroundTruth
-from revisit.evaluation.protocols.towns import DRIVES, SESSIONS, SimulatedDrive
 
 Vectors = NDArray[np.float32]
 
@@ -174,7 +176,7 @@ def _interval(found: Interval, sign: str = "") -> str:
     return f"{found.value:{sign}.3f} [{found.low:{sign}.3f}, {found.high:{sign}.3f}]"
 
 
-def main(out: Path, names: Sequence[str]) -> None:
+def main(out: Path, names: Annotated[list[str] | None, typer.Argument()] = None) -> None:
     """Print the table of the drives named, of all where none is."""
     torch.set_num_threads(1)
     print(f"| condition | {' | '.join(FORMS)} | largest F1 of the four | recall@1 |")
@@ -184,4 +186,4 @@ def main(out: Path, names: Sequence[str]) -> None:
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]), sys.argv[2:])
+    run(main)

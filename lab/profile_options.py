@@ -6,8 +6,7 @@
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import cache, partial
 from pathlib import Path
@@ -16,6 +15,8 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from lab.command_line import run
+from lab.domains.catalogue import DOMAINS, Domain, Setting
 from lab.profile_tables import SHARE, Drives, judged
 from revisit.core.config import Evaluation, Fitting, ImplicitMapConfig, KeypointSource, PipelineConfig, SurfaceConfig
 from revisit.core.errors import RevisitError
@@ -27,7 +28,6 @@ from revisit.core.surface import Surface, extract_surface
 from revisit.evaluation.cutting import Window, cut, load_submap
 from revisit.evaluation.datasets import Recording
 from revisit.evaluation.described_submaps import DescribedSubmap
-from revisit.evaluation.domains.catalogue import DOMAINS, Domain, Setting
 from revisit.evaluation.loop_closure_method import Description
 from revisit.evaluation.perturbations import Perturbation, turned
 
@@ -96,7 +96,7 @@ def _stored(
     )
 
 
-def main(out: Path, names: Sequence[str]) -> None:
+def main(out: Path, names: list[str]) -> None:
     """Print a row for each option and domain."""
     torch.set_num_threads(1)
     print("| domain | option | cosine: AUC, F1, recall@1 | standardised: AUC, F1, recall@1 |\n|---|---|---|---|")
@@ -112,4 +112,4 @@ def main(out: Path, names: Sequence[str]) -> None:
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]), sys.argv[2:])
+    run(main)

@@ -7,7 +7,6 @@ as it is (Eq. 15) and standardised by the map; seconds of the processor and byte
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -16,6 +15,9 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from lab.command_line import run
+from lab.domains.catalogue import DOMAINS, Domain, Pass, Setting
+from lab.recognition.experiment import MethodResult, Scores, scores
 from revisit.core.config import FusionConfig, PipelineConfig
 from revisit.core.descriptor.fusion import without_parts
 from revisit.core.index import Match
@@ -24,12 +26,10 @@ from revisit.evaluation.ablation import Ablation
 from revisit.evaluation.cutting import cut
 from revisit.evaluation.datasets import Recording
 from revisit.evaluation.described_submaps import DescribedSubmap, DescriptionWork, describe_submap
-from revisit.evaluation.domains.catalogue import DOMAINS, Domain, Pass, Setting
+from revisit.evaluation.ground_truth import GroundTruth
 from revisit.evaluation.loop_closure_method import LoopClosureMethod, RevisitMethod
 from revisit.evaluation.matching import search_map
 from revisit.evaluation.perturbations import Perturbation
-from revisit.evaluation.protocols.experiment import MethodResult, Scores, scores
-from revisit.evaluation.protocols.ground_truth import GroundTruth
 
 Vectors = NDArray[np.float32]
 
@@ -154,7 +154,7 @@ def _costs(drives: Drives) -> str:
     return f"{1000 * seconds:.0f} | {share}"
 
 
-def main(out: Path, names: Sequence[str]) -> None:
+def main(out: Path, names: list[str]) -> None:
     """Print the tables of the domains."""
     torch.set_num_threads(1)
     print("| domain | profile | form | cosine: AUC / F1 | recall@1 | standardised: AUC / F1 | recall@1 | ms | kB | % |")
@@ -166,4 +166,4 @@ def main(out: Path, names: Sequence[str]) -> None:
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]), sys.argv[2:])
+    run(main)

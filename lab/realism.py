@@ -6,13 +6,13 @@
 from __future__ import annotations
 
 import itertools
-import sys
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from lab.command_line import run
 from revisit.core.scan import Scan
 from revisit.evaluation.datasets import Recording, open_recording
 
@@ -90,10 +90,10 @@ def table(columns: dict[str, dict[str, float]]) -> str:
     return "\n".join(lines)
 
 
-def main(folders: list[str]) -> None:
+def main(folders: list[Path]) -> None:
     """Print the table of the KITTI folders."""
-    print(table({Path(folder).name: recording_statistics(open_recording(Path(folder), "kitti")) for folder in folders}))
+    print(table({folder.name: recording_statistics(open_recording(folder, "kitti")) for folder in folders}))
 
 
 if __name__ == "__main__":
-    main(sys.argv[1:])
+    run(main)

@@ -1,13 +1,12 @@
 """How many pairs of places in worlds that repeat are accepted with a wrong pose: many worlds, pairs drawn at random.
 
-`python -m lab.repeating_campaign SEED ROUNDS FILE.jsonl` appends a line for each world and round;
-without SEED and ROUNDS it sums up the lines. Each round makes each world anew.
+`python -m lab.repeating_campaign FILE.jsonl --seed S --rounds N` appends a line for each world and round, and sums up
+all lines. Each round makes each world anew.
 """
 
 from __future__ import annotations
 
 import json
-import sys
 from collections.abc import Iterable
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -15,7 +14,8 @@ from pathlib import Path
 import torch
 from scipy.stats import beta
 
-from lab.repeating_worlds import WORLDS, World, drawn_pairs, judge, visits_of
+from lab.command_line import run
+from lab.worlds.repeating import WORLDS, World, drawn_pairs, judge, visits_of
 from revisit.core.config import PipelineConfig
 from revisit.core.model_bundle import load_packaged_models
 
@@ -83,19 +83,17 @@ def summary(lines: Iterable[Counts]) -> list[str]:
     return table
 
 
-def main(arguments: list[str]) -> None:
-    """Run rounds, or sum them up."""
+def main(file: Path, seed: int = 0, rounds: int = 0) -> None:
+    """Append to FILE a line for each world and round from SEED on, and sum up all of its lines."""
     torch.set_num_threads(1)
-    file = Path(arguments[-1])
-    if len(arguments) == 3:
-        config = PipelineConfig()
-        for seed in range(int(arguments[0]), int(arguments[0]) + int(arguments[1])):
-            for number, world in enumerate(WORLDS):
-                line = json.dumps(asdict(run_round(world, 100 * seed + number, config)))
-                with file.open("a") as lines:
-                    lines.write(line + "\n")
+    config = PipelineConfig()
+    for one in range(seed, seed + rounds):
+        for number, world in enumerate(WORLDS):
+            line = json.dumps(asdict(run_round(world, 100 * one + number, config)))
+            with file.open("a") as lines:
+                lines.write(line + "\n")
     print("\n".join(summary(Counts(**json.loads(line)) for line in file.read_text().splitlines())))
 
 
 if __name__ == "__main__":
-    main(sys.argv[1:])
+    run(main)

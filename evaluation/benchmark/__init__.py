@@ -1,6 +1,6 @@
 """The benchmark of the product (`make bench`): speed as ratios, bytes, and surface errors, with a committed baseline.
 
-Quality of recognition has a report of its own: `revisit.evaluation.recognition_benchmark`.
+Quality of recognition has a report of its own: `lab.recognition.benchmark`.
 """
 
 from __future__ import annotations

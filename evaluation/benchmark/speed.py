@@ -17,7 +17,7 @@ from revisit.core.pipeline import DescribedPlace, describe, verify
 from revisit.core.place import Place
 from revisit.core.scan import Scan
 from revisit.core.submap import Submap
-from revisit.evaluation.baselines import Ring, RingPlusPlus, ScanContext, Triangles
+from revisit.evaluation.baselines import ScanContext
 from revisit.evaluation.benchmark.timing import Work
 from revisit.evaluation.simulator import HDL64, StreetGrid, Trajectory, build_city, drive, grid_drive, simulate
 
@@ -28,7 +28,7 @@ SEARCHES = 50
 CANDIDATES = 20
 SPACING_M = 0.15
 """Between the scans of a dense submap: 10 Hz at 1.5 m/s."""
-_PEERS = (Ring(), RingPlusPlus(), ScanContext(), Triangles())
+_PEERS = (ScanContext(),)
 PEERS = frozenset({*(f"describe_{peer.name}" for peer in _PEERS), "verify_small_gicp"})
 """Works of others: what another machine makes slower of them is no regression of the product."""
 _VOXEL_M = 0.3

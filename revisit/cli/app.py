@@ -53,7 +53,7 @@ def _version(wanted: bool) -> None:
 COMMANDS = (
     serve.serve, serve.worker, serve.migrate, inspect.inspect, ingest.ingest, spool.spool, queries.query,
     queries.loops, watch.watch, explain.explain, export.export, pose_graph.pose_graph, merging.merge, demo.demo,
-    evaluate.evaluate, doctor.doctor, reembed.reembed, backup.backup, backup.restore,
+    evaluate.evaluate, bench.bench, doctor.doctor, reembed.reembed, backup.backup, backup.restore,
     backup.scrub,
 )  # fmt: skip
 GROUPS = {
@@ -63,7 +63,6 @@ GROUPS = {
     "operations": operations.group,
     "keys": keys.group,
     "audit": audit.group,
-    "bench": bench.group,
 }
 
 

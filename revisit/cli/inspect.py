@@ -80,7 +80,7 @@ def _inspect_recording(
 
 @needs("evaluation")
 def _draw(recording: Recording, inspection: Inspection, picture: Path) -> None:
-    from revisit.evaluation.report.inspection_picture import draw_inspection
+    from revisit.evaluation.inspection_picture import draw_inspection
 
     draw_inspection(recording, inspection, picture)
 

@@ -125,6 +125,6 @@ def _tracks(client: Any, map_id: str) -> dict[str, tuple[str, Any]]:
 
 
 def _draw(picture: Path, before: Any, after: Any, result: dict[str, Any]) -> None:
-    from revisit.evaluation.report.merge_picture import draw_merge
+    from revisit.evaluation.merge_picture import draw_merge
 
     draw_merge(picture, before, after, result["changes"])

@@ -18,7 +18,6 @@ Stride = Annotated[float | None, typer.Option(help="Metres between submap starts
 LeaveDistance = Annotated[
     float | None, typer.Option(help="So far a drive leaves a place before it may come back to it, m.")
 ]
-IndexGap = Annotated[int | None, typer.Option(help="Nearer submaps are no loop.")]
 PositiveRadius = Annotated[float | None, typer.Option(help="Submaps nearer than this are the same place, m.")]
 
 RECORDINGS = (

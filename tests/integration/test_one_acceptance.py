@@ -11,9 +11,9 @@ from revisit.core.config import PipelineConfig
 from revisit.core.geometry.se3 import pose_matrix
 from revisit.evaluation.described_submaps import DescribedSubmap
 from revisit.evaluation.drive_acceptance import judge_drive
+from revisit.evaluation.ground_truth import GroundTruth
 from revisit.evaluation.loop_closure_method import Description
 from revisit.evaluation.matching import search_map
-from revisit.evaluation.protocols.ground_truth import GroundTruth
 from revisit.service.application.contract.blobs import PLACE_BLOB
 from tests.integration.test_loops_beside import EqualBlocks, RowOfHouses
 from tests.support.fake_recogniser import FakeRecogniser

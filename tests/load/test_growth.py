@@ -2,7 +2,7 @@
 
 REVISIT_GROWTH_SUBMAPS (1000,10000,100000): submaps of the map, in sessions of a thousand. REVISIT_GROWTH_PICTURE names
 the PNG that the curves are drawn into. REVISIT_GROWTH_POOL names .npz files (with colons between) whose "vectors" are
-descriptors of places, as `revisit bench domains` keeps them: the map's are then made up from these, alike to real ones,
+descriptors of places, as `python -m lab.domains` keeps them: the map's are then made up from these, alike to real ones,
 and the answers are compared with those of a search that looks at all of them. No time is asserted, for a curve has no
 bound: every size must answer.
 """

@@ -9,6 +9,8 @@ import gtsam
 import numpy as np
 import pytest
 
+from lab.pose_graphs.benchmark import Case, Spoiling, measure
+from lab.pose_graphs.wrong_loops import is_wrong, with_agreeing_loops
 from revisit.core.errors import BadField, MalformedBody
 from revisit.core.geometry import se3
 from revisit.core.pose_graph import (
@@ -30,9 +32,7 @@ from revisit.core.pose_graph.least_squares import INLIER, cauchy, graduated, hub
 from revisit.core.pose_graph.normal_equations import Edges
 from revisit.core.pose_graph.support import STRETCH, LoopsWithin
 from revisit.core.pose_graph.variance_factor import Side, rescaled, squared_errors, variance_factor
-from revisit.evaluation.pose_graph_benchmark import Case, Spoiling, measure
 from revisit.evaluation.real_data import real_data
-from revisit.evaluation.wrong_loops import is_wrong, with_agreeing_loops
 from tests.support.made_up_fleet import LOOP_COVARIANCE, MODEL, drifted, fleet, random_motion, road
 from tests.support.real_data import needs_real_data
 

@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from lab.pose_graphs.one_loop import run
 from revisit.core.geometry import se3, se3_rows
 from revisit.core.pose_graph import LoopState, Node, PoseGraph, Robustness, SolvedComponent, Trajectory, optimise
 from revisit.core.pose_graph.warm_start import MOST_HELD
-from revisit.evaluation.one_loop_benchmark import run
 from tests.support.made_up_fleet import Fleet, fleet, random_motion
 
 LATER = 12

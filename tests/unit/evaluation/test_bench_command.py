@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 from dataclasses import replace
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -16,10 +15,9 @@ from revisit.cli.app import app
 from revisit.core.device import device as used_device
 from revisit.core.errors import DegenerateCloud
 from revisit.core.submap import Submap
-from revisit.evaluation import benchmark, recognition_benchmark
+from revisit.evaluation import benchmark
 from revisit.evaluation.benchmark import Metric, device
 from revisit.evaluation.benchmark.metric import shown
-from revisit.evaluation.protocols.benchmark_plan import BenchmarkPlan, RecordedDrive
 
 GOOD = Metric("surface_error_median", 0.05, "m", "up", 0.1)
 SHOWN = Metric("describe", 0.4, "CPU s", "up", np.inf)
@@ -38,17 +36,15 @@ def asked(monkeypatch: pytest.MonkeyPatch) -> list[bool]:
     return calls
 
 
-@pytest.mark.parametrize("command", [["bench"], ["bench", "run"]])
-def test_a_regression_is_named_and_a_check_ends_with_status_1(asked: list[bool], command: list[str]) -> None:
-    assert CliRunner().invoke(app, command).exit_code == 0
-    result = CliRunner().invoke(app, [*command, "--check"])
+def test_a_regression_is_named_and_a_check_ends_with_status_1(asked: list[bool]) -> None:
+    assert CliRunner().invoke(app, ["bench"]).exit_code == 0
+    result = CliRunner().invoke(app, ["bench", "--check"])
     assert result.exit_code == 1 and asked == [False, False]
     assert "surface_error_median" in result.stdout and "worse: surface_error_median" in result.stdout
 
 
-@pytest.mark.parametrize("command", [["bench", "--update"], ["bench", "run", "--update"]])
-def test_updating_writes_the_baseline_and_succeeds(asked: list[bool], command: list[str]) -> None:
-    assert CliRunner().invoke(app, command).exit_code == 0
+def test_updating_writes_the_baseline_and_succeeds(asked: list[bool]) -> None:
+    assert CliRunner().invoke(app, ["bench", "--update"]).exit_code == 0
     assert asked == [True]
 
 
@@ -118,52 +114,3 @@ def test_what_processes_side_by_side_describe_is_counted(monkeypatch):
     told: list[int] = []
     device.count_described("cpu", ["a", "b"], 0.0, SimpleNamespace(wait=lambda: asked.append("gate")), told.append)
     assert asked == ["a", "b", "gate", "a"] and told == [1]
-
-
-@pytest.fixture
-def plans(monkeypatch: pytest.MonkeyPatch) -> list[BenchmarkPlan]:
-    """Replaces the run; collects the plans."""
-    collected: list[BenchmarkPlan] = []
-
-    def run(plan: BenchmarkPlan, report: object) -> tuple[list[object], tuple[Path, Path]]:
-        collected.append(plan)
-        return [], (plan.folder / "recognition.md", plan.folder / "recognition.html")
-
-    monkeypatch.setattr(recognition_benchmark, "run_recognition_bench", run)
-    return collected
-
-
-def recognition(*words: str) -> int:
-    return CliRunner().invoke(app, ["bench", "recognition", *words]).exit_code
-
-
-def test_the_named_drives_and_protocols_are_run(plans: list[BenchmarkPlan], tmp_path: Path) -> None:
-    assert recognition("--out", str(tmp_path), "--drives", "centre-os1", "--protocols", "online, rotation") == 0
-    (plan,) = plans
-    assert [drive.name for drive in plan.drives] == ["centre-os1"]  # type: ignore[attr-defined]  # simulated
-    assert plan.protocols == ("online", "rotation")
-    assert plan.folder == tmp_path and plan.recordings == tmp_path / "recordings"
-
-
-def test_ones_own_recordings_take_the_place_of_the_simulated_ones(plans: list[BenchmarkPlan], tmp_path: Path) -> None:
-    folders = [tmp_path / name for name in ("a", "b")]
-    for folder in folders:
-        folder.mkdir()
-    words = ["--recording", str(folders[0]), "--sessions", str(folders[0]), str(folders[1]), "--format", "nclt"]
-    assert recognition(*words) == 0
-    (plan,) = plans
-    first, second = (RecordedDrive(folder, "nclt") for folder in folders)
-    assert list(plan.drives) == [first] and list(plan.sessions) == [(first, second)]
-
-
-def test_lengths_that_were_given_replace_those_of_the_bench(plans: list[BenchmarkPlan], tmp_path: Path) -> None:
-    words = ["--tau", "5", "--min-index-gap", "7", "--positive-radius", "4"]
-    assert recognition("--out", str(tmp_path), *words) == 0
-    (plan,) = plans
-    assert (plan.submap.tau, plan.submap.stride) == (5.0, 10.0)
-    assert (plan.loops.min_index_gap, plan.loops.positive_radius_m) == (7, 4.0)
-
-
-@pytest.mark.parametrize("words", [["--drives", "mars"], ["--protocols", "online,luck"], ["--format", "tape"]])
-def test_unknown_names_are_refused(plans: list[BenchmarkPlan], words: list[str]) -> None:
-    assert recognition(*words) == 1 and plans == []

@@ -50,6 +50,6 @@ def test_of_a_search_the_time_of_one_is_told_and_an_update_writes_what_was_measu
 
 def test_a_peer_that_another_machine_slows_down_is_no_regression() -> None:
     slow = Timing(seconds=1.0, ratio=20.0)
-    metrics = benchmark._timed({"describe": slow, "describe_ring": slow, "verify_small_gicp": slow})
-    known = dict.fromkeys(("describe_ratio", "describe_ring_ratio", "verify_small_gicp_ratio"), 10.0)
+    metrics = benchmark._timed({"describe": slow, "describe_scan-context": slow, "verify_small_gicp": slow})
+    known = dict.fromkeys(("describe_ratio", "describe_scan-context_ratio", "verify_small_gicp_ratio"), 10.0)
     assert [told.partition(":")[0] for told in benchmark.compare(metrics, known)] == ["describe_ratio"]

@@ -11,12 +11,12 @@ import pytest
 from rich.console import Console
 from scipy.spatial.transform import Rotation
 
+from lab.fleet.scores import ate_m
 from revisit.cli.demo.report import show_map
 from revisit.cli.demo.steps import step
 from revisit.core.geometry import se3
 from revisit.evaluation.demo import FoundLoop, Targets, TrueSubmap, closing_pair, compare, judge_map
 from revisit.evaluation.demo.pair import standing
-from revisit.evaluation.fleet import ate_m
 from revisit.evaluation.trajectory_error import trajectory_error
 
 # A square of 30 m, once round and a little further; its odometry turns 1 degree too far at each submap.

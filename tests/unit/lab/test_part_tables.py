@@ -9,10 +9,10 @@ from lab.part_tables import FORMS, DescribedDrive, formed, judged
 from revisit.core.config import PipelineConfig
 from revisit.core.descriptor.fusion import without_parts
 from revisit.evaluation.described_submaps import DescribedSubmap
+from revisit.evaluation.ground_truth import GroundTruth
 from revisit.evaluation.loop_closure_method import Description
 from revisit.evaluation.matching import search_map
 from revisit.evaluation.metrics import LoopProtocol
-from revisit.evaluation.protocols.ground_truth import GroundTruth
 
 LOOPS = LoopProtocol(min_index_gap=3)
 

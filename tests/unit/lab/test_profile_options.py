@@ -7,10 +7,10 @@ from pathlib import Path as File
 
 import numpy as np
 
+from lab.domains.catalogue import DOMAINS, Domain, Pass, Setting
 from lab.profile_options import OPTIONS, drives_by_option
 from revisit.core.config import SubmapConfig
 from revisit.evaluation.datasets import KittiRecording, write_kitti
-from revisit.evaluation.domains.catalogue import DOMAINS, Domain, Pass, Setting
 from revisit.evaluation.simulator import OS1_64, Path, build_city, drive, simulate
 
 

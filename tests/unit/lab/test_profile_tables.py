@@ -6,10 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from lab.domains.catalogue import DOMAINS
 from lab.profile_tables import Drives, _masked, judged, plain_candidates
 from revisit.core.profiles import Profile, profile_config
 from revisit.evaluation.described_submaps import DescribedSubmap
-from revisit.evaluation.domains.catalogue import DOMAINS
 from revisit.evaluation.loop_closure_method import Description
 from revisit.evaluation.metrics import LoopProtocol
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lab.repeating_worlds import (
+from lab.worlds.repeating import (
     WORLDS,
     Judgement,
     RepeatingPair,
