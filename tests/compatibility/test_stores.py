@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import asyncio
+import hashlib
+import sqlite3
 import zipfile
+from contextlib import closing
 from pathlib import Path
 
 import pytest
 
+from revisit.service.adapters.sqlite.migration import NEWEST_REVISION, current_revision, migrate
 from revisit.service.application import SubmapKey
 from revisit.service.application.query.search_answers import SearchCriteria
 from tests.compatibility.write import STORES, write_store
@@ -16,9 +20,7 @@ from tests.faults.history import History
 from tests.faults.survey import survey
 from tests.support.service_world import TENANT, sqlite_world
 
-THEN = {"DESCRIBED": 6, "FAILED": 1}
-NOW = {"DESCRIBED": 8, "FAILED": 1}
-"""The drive of today has a second map."""
+STATES = {"DESCRIBED": 8, "FAILED": 1}
 
 
 def unpacked(file: Path, folder: Path) -> Path:
@@ -47,18 +49,39 @@ def test_a_store_of_an_earlier_version_opens_with_all_that_was_acknowledged(home
     assert searched(home) == {"c"}
     found = survey(home)
     assert found.against(History.parse((tmp_path / "log").read_bytes())) == []
-    assert found.states == THEN
+    assert found.states == STATES
 
 
 def test_the_robots_of_then_go_on_with_it_now(home, tmp_path):
     undisturbed(home, tmp_path / "log", boot="boot-2")
     found = survey(home)
     assert found.against(History.parse((tmp_path / "log").read_bytes())) == []
-    assert found.states == NOW
+    assert found.states == STATES
+
+
+def schema_of(database: Path) -> dict[str, str]:
+    """The statements that make it, by name, but for white space and quotes that name nothing more."""
+    with closing(sqlite3.connect(database)) as connection:
+        made = connection.execute("SELECT name, sql FROM sqlite_schema WHERE sql IS NOT NULL").fetchall()
+    return {name: " ".join(sql.replace('"', "").replace(")", " )").split()) for name, sql in made}
+
+
+def test_a_new_database_has_the_schema_of_a_store_that_all_steps_made(tmp_path):
+    home = unpacked(STORES / "schema-0024.zip", tmp_path)
+    migrate(tmp_path / "new.db", "0024")
+    assert schema_of(tmp_path / "new.db") == schema_of(home / "revisit.db")
+
+
+def test_a_store_that_all_steps_made_is_left_as_it_is(tmp_path):
+    home = unpacked(STORES / "schema-0024.zip", tmp_path)
+    before = hashlib.sha256((home / "revisit.db").read_bytes()).hexdigest()
+    migrate(home / "revisit.db")
+    assert current_revision(home / "revisit.db") == NEWEST_REVISION == "0024"
+    assert hashlib.sha256((home / "revisit.db").read_bytes()).hexdigest() == before
 
 
 def test_there_is_a_store_and_one_of_today_can_be_made(tmp_path):
     assert list(STORES.glob("*.zip"))
     write_store(tmp_path / "today.zip")
     home = unpacked(tmp_path / "today.zip", tmp_path)
-    assert survey(home).states == NOW
+    assert survey(home).states == STATES

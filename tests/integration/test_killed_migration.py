@@ -10,8 +10,9 @@ from pathlib import Path
 
 import pytest
 
-from revisit.service.adapters.sqlite.migration import migrate
+from revisit.service.adapters.sqlite.migration import LAST_OF_ALL_STEPS, MIGRATIONS, NEWEST_REVISION, migrate
 from tests.support.campaigns import Campaign
+from tests.support.next_migration import NEXT_REVISION, migrations_with_a_next_step
 from tests.support.processes import ROOT
 
 EVERY = int(os.environ.get("REVISIT_TEST_MIGRATION_EVERY", "7"))
@@ -22,9 +23,10 @@ import os, shutil, signal, sys
 from pathlib import Path
 from sqlalchemy import event
 from sqlalchemy.engine import Engine
-from revisit.service.adapters.sqlite.migration import migrate
+from revisit.service.adapters.sqlite import migration
 
 old, home, every = Path(sys.argv[1]), Path(sys.argv[2]), int(sys.argv[3])
+migration.MIGRATIONS, migration.NEWEST_REVISION = Path(sys.argv[4]), sys.argv[5]
 
 def in_child(database, kill_at):
     child = os.fork()
@@ -35,7 +37,7 @@ def in_child(database, kill_at):
             seen.append(1)
             if len(seen) == kill_at:
                 os.kill(os.getpid(), signal.SIGKILL)
-        migrate(database)
+        migration.migrate(database)
         os._exit(0)
     return os.waitpid(child, 0)[1]
 
@@ -64,8 +66,8 @@ def content(database: Path) -> list[tuple]:
         connection.close()
 
 
-def filled_first_schema(database: Path) -> None:
-    migrate(database, "0001")
+def filled(database: Path) -> None:
+    migrate(database)
     connection = sqlite3.connect(database)
     row = "INSERT INTO maps (tenant, map_id, content_hash, display_name, created_at_ns) VALUES ('t', ?, 'h', '', 7)"
     connection.executemany(row, [(f"m{number}",) for number in range(50)])
@@ -76,7 +78,9 @@ def filled_first_schema(database: Path) -> None:
 def check_every(old: Path, home: Path, every: int) -> int:
     """Kill an upgrade of `old` (a new database where there is none) at each `every`-th statement; the last of them."""
     home.mkdir()
-    command = [sys.executable, "-c", KILL_AND_RECOVER, str(old), str(home), str(every)]
+    migrations = migrations_with_a_next_step(home) if old.exists() else MIGRATIONS
+    newest = NEXT_REVISION if old.exists() else NEWEST_REVISION
+    command = [sys.executable, "-c", KILL_AND_RECOVER, str(old), str(home), str(every), str(migrations), newest]
     ran = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=500, check=False)
     assert ran.returncode == 0, ran.stderr[-2000:]
     undisturbed = home / f"{int(ran.stdout)}.db"
@@ -90,28 +94,29 @@ def test_a_new_database_killed_while_it_is_made_is_finished_by_the_next_start(tm
 
 
 def test_an_upgrade_of_a_filled_database_killed_at_any_statement_keeps_all_rows(tmp_path):
-    filled_first_schema(tmp_path / "old.db")
+    filled(tmp_path / "old.db")
     assert check_every(tmp_path / "old.db", tmp_path / "killed", EVERY) > 10, "there are more statements than that"
-    assert len([row for row in content(tmp_path / "killed" / "1.db") if "m49" in row]) == 1
+    assert [row[-1] for row in content(tmp_path / "killed" / "1.db") if "m49" in row] == ["red"]
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("filled", [False, True], ids=["new", "filled"])
-def test_a_migration_killed_at_each_of_its_statements_is_finished(tmp_path, filled):
-    if filled:
-        filled_first_schema(tmp_path / "old.db")
+@pytest.mark.parametrize("upgrade", [False, True], ids=["new", "filled"])
+def test_a_migration_killed_at_each_of_its_statements_is_finished(tmp_path, upgrade):
+    if upgrade:
+        filled(tmp_path / "old.db")
     campaign, statements = Campaign("P27", 1), 0
     for _ in campaign:
         statements = check_every(tmp_path / "old.db", tmp_path / "killed", 1) - 1
-    assert statements > (15 if filled else 40), "there are more statements than that"
-    of_what = "an upgrade of a filled database" if filled else "a new database"
+    assert statements > (15 if upgrade else 40), "there are more statements than that"
+    of_what = "an upgrade of a filled database" if upgrade else "a new database"
     campaign.publish(f"{of_what}: killed at each of {statements} statements, finished by the next start, no row lost")
 
 
-def test_a_database_of_a_newer_version_is_refused_with_a_message_and_left_alone(tmp_path):
+@pytest.mark.parametrize(("revision", "way"), [("9999", "Start the newer version"), ("0006", LAST_OF_ALL_STEPS)])
+def test_a_database_of_another_version_is_refused_with_the_way_and_left_alone(tmp_path, revision, way):
     migrate(tmp_path / "revisit.db")
     connection = sqlite3.connect(tmp_path / "revisit.db")
-    connection.execute("UPDATE alembic_version SET version_num = '9999'")
+    connection.execute("UPDATE alembic_version SET version_num = ?", (revision,))
     connection.commit()
     connection.close()
     before = content(tmp_path / "revisit.db")
@@ -120,5 +125,5 @@ def test_a_database_of_a_newer_version_is_refused_with_a_message_and_left_alone(
     ended = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, timeout=120, check=False)
     assert ended.returncode == 78
     assert "does not fit this version" in ended.stderr
-    assert "9999" in ended.stderr
+    assert revision in ended.stderr and way in ended.stderr
     assert content(tmp_path / "revisit.db") == before

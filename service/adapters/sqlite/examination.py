@@ -112,7 +112,8 @@ def _schema(database: Path) -> Finding:
         return Finding("schema", True, f"{revision}, the newest")
     if revision in known_revisions():
         return Finding("schema", True, f"{revision}; the next start brings it to {NEWEST_REVISION}")
-    return Finding("schema", False, f"{revision}, which this version does not know: a newer one made it")
+    made = "an older" if str(revision) < NEWEST_REVISION else "a newer"
+    return Finding("schema", False, f"{revision}, which this version does not know: {made} one made it")
 
 
 def _pages(rows: sqlite3.Connection) -> Finding:

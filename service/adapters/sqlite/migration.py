@@ -24,6 +24,10 @@ NEWEST_REVISION = "0024"
 """What this version brings a database to: the head of `migrations`. A start that finds it has nothing to read there."""
 
 
+LAST_OF_ALL_STEPS = "74bcf880"
+"""The last commit that has the steps from the first schema to 0024: nothing was released before."""
+
+
 class ForeignSchema(Exception):
     """The database is of a version that this one does not know."""
 
@@ -74,10 +78,7 @@ def _migrate(database: Path, revision: str) -> None:
     from alembic.util import CommandError
 
     if present is not None and present not in known_revisions():
-        raise ForeignSchema(
-            f"it was written by a newer Revisit (schema {present}, this one knows up to {NEWEST_REVISION}). Start the "
-            "newer version, or restore a backup of this one"
-        )
+        raise ForeignSchema(_way_from(present))
     upwards = revision == "head" or present is None
     engine = writer_engine(database, checkpoints=True, checksums=False)
     try:
@@ -88,6 +89,19 @@ def _migrate(database: Path, revision: str) -> None:
         raise ForeignSchema(str(error)) from error
     finally:
         engine.dispose()
+
+
+def _way_from(present: str) -> str:
+    """What to do with a database of a revision that is not known."""
+    if present > NEWEST_REVISION:
+        return (
+            f"it was written by a newer Revisit (schema {present}, this one knows up to {NEWEST_REVISION}). Start the "
+            "newer version, or restore a backup of this one"
+        )
+    return (
+        f"it was written by an older Revisit (schema {present}, this one begins with {min(known_revisions())}). Start "
+        f"the version of commit {LAST_OF_ALL_STEPS} on it once, which upgrades it, then this one"
+    )
 
 
 def _seal(connection: Connection) -> None:
