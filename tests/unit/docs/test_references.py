@@ -79,7 +79,7 @@ def test_every_rpc_has_its_heading():
 
 
 def test_every_reason_for_a_rejection_is_explained():
-    assert {reason.value for reason in RejectionReason} <= headings("how-to/read-an-answer.md")
+    assert {reason.value for reason in RejectionReason} <= headings("how-to/why-a-loop-is-rejected.md")
 
 
 def test_the_advice_for_a_rejection_names_rules_that_can_be_set_and_no_others():
