@@ -233,7 +233,7 @@ def run_worker(settings: Settings, worker_id: str | None, parent_pid: int | None
     tracer = build_tracer(settings, "worker")
     worker = Worker(
         installation,
-        installation.recognition(recogniser, CoreMapOptimiser(), CoreMapMerger(), CoreTileMaker()),
+        installation.jobs(recogniser, CoreMapOptimiser(), CoreMapMerger(), CoreTileMaker()),
         identity,
         stopping,
         limits,

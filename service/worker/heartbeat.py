@@ -18,7 +18,7 @@ from revisit.service.application.contract.errors import StaleLease
 from revisit.service.application.contract.job_queue import Lease
 from revisit.service.application.contract.records import WorkerRecord
 from revisit.service.application.contract.transactions import Transactions, UnitOfWork
-from revisit.service.application.recognise.recognition import Recognition
+from revisit.service.application.recognise.job_runner import JobRunner
 
 BEATS_PER_LEASE = 5
 """So that a lease outlives four lost beats: every 2 s for a lease of 10 s."""
@@ -62,17 +62,17 @@ class Heartbeat:
         transactions: Transactions,
         clock: Clock,
         lease_ms: int,
-        recognition: Recognition,
+        jobs: JobRunner,
         identity: WorkerIdentity,
         job_timeout_s: float,
     ) -> None:
-        """A job that takes longer than `job_timeout_s` (see `is_overtime`) is failed through `recognition`, and the
+        """A job that takes longer than `job_timeout_s` (see `is_overtime`) is failed through `jobs`, and the
         process ends.
         """
         self._transactions = transactions
         self._clock = clock
         self._lease_ms = lease_ms
-        self._recognition = recognition
+        self._jobs = jobs
         self._identity = identity
         self._job_timeout_s = job_timeout_s
         self._lease: Lease | None = None
@@ -122,7 +122,7 @@ class Heartbeat:
         if lease is None or not is_overtime(wall_s, cpu_s, self._job_timeout_s):
             return
         try:
-            self._recognition.fail(lease, f"the job took longer than {self._job_timeout_s:g} s")
+            self._jobs.fail(lease, f"the job took longer than {self._job_timeout_s:g} s")
         except RevisitError as error:
             log.warning("overtime_not_stored", operation=lease.job.operation_id, reason=error.message)
         os._exit(OVERTIME)

@@ -15,7 +15,7 @@ from revisit.service.application.contract.records import JobRecord
 from revisit.service.application.contract.tracing import NoTracer, RequestContext, Role, Tracer, within_request
 from revisit.service.application.installation import Installation
 from revisit.service.application.recognise.claiming import JobClaims
-from revisit.service.application.recognise.recognition import Recognition
+from revisit.service.application.recognise.job_runner import JobRunner
 from revisit.service.worker.confinement import resident_bytes
 from revisit.service.worker.free_memory import FreeMemory
 from revisit.service.worker.heartbeat import Heartbeat, WorkerIdentity
@@ -43,15 +43,15 @@ class Worker:
     def __init__(
         self,
         installation: Installation,
-        recognition: Recognition,
+        jobs: JobRunner,
         identity: WorkerIdentity,
         stopping: threading.Event,
         limits: WorkerLimits,
         tracer: Tracer = NoTracer(),
     ) -> None:
-        """`recognition` runs the jobs."""
+        """`jobs` runs what is leased."""
         self._claims = JobClaims(installation.transactions, installation.clock, installation.disk, identity.worker_id)
-        self._recognition = recognition
+        self._jobs = jobs
         self._identity = identity
         self._stopping = stopping
         self._limits = limits
@@ -61,7 +61,7 @@ class Worker:
             installation.transactions,
             installation.clock,
             installation.policy.lease_ms,
-            recognition,
+            jobs,
             identity,
             limits.job_timeout_s,
         )
@@ -93,7 +93,7 @@ class Worker:
         with self._request(lease.job):
             self._heartbeat.hold(lease)
             try:
-                self._recognition.run(lease)
+                self._jobs.run(lease)
             except Unavailable as error:
                 # The lease runs out and the job is claimed again; its attempt is counted.
                 log.warning("job_end_not_stored", reason=error.message)

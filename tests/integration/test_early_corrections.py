@@ -83,7 +83,7 @@ async def test_a_loop_corrects_its_session_before_the_map_is_optimised_again(lat
     before = await late.correction()
     assert (before.map_version, before.early_loops) == (1, 0)
     late.bring_back(late.late)
-    late.early.take_in(TENANT, "town")
+    late.early.update(TENANT, "town")
     early = await late.correction()
     assert (early.map_version, early.early_loops) == (1, MOST_AT_ONCE) and len(late.late) > MOST_AT_ONCE
     await late.optimise()
@@ -97,11 +97,11 @@ async def test_a_loop_corrects_its_session_before_the_map_is_optimised_again(lat
 
 async def test_loops_one_after_the_other_are_asked_once_each_and_one_that_contradicts_the_map_moves_nothing(late):
     late.bring_back(late.late[:2])
-    late.early.take_in(TENANT, "town")
+    late.early.update(TENANT, "town")
     two = await late.correction()
     wrong = replace(late.late[2], T_match_query=random_motion(np.random.default_rng(0)))
     late.write(lambda uow: add_loop(uow, loop_record(wrong, late.submaps), Change(LoopEventKind.VERIFIED, 1)))
-    late.early.take_in(TENANT, "town")
+    late.early.update(TENANT, "town")
     same = await late.correction()
     assert (two.early_loops, same.early_loops) == (2, 2)
     np.testing.assert_array_equal(two.T_map_odom, same.T_map_odom)
@@ -110,13 +110,13 @@ async def test_loops_one_after_the_other_are_asked_once_each_and_one_that_contra
 async def test_a_decision_on_a_loop_forgets_what_was_corrected_ahead(late):
     version = await late.correction()
     late.bring_back(late.late)
-    late.early.take_in(TENANT, "town")
+    late.early.update(TENANT, "town")
     assert (await late.correction()).early_loops > 0
     await late.world.use_cases.loop_decisions.reject(TENANT, "town", late.late[0].name)
     again = await late.correction()
     assert again.early_loops == 0
     np.testing.assert_array_equal(again.T_map_odom, version.T_map_odom)
-    late.early.take_in(TENANT, "town")
+    late.early.update(TENANT, "town")
     assert (await late.correction()).early_loops == MOST_AT_ONCE
 
 
@@ -124,7 +124,7 @@ async def test_a_watch_tells_of_an_early_correction_and_of_the_version_that_repl
     corrections = late.world.use_cases.corrections.watch(TENANT, "town", session_id="s1")
     told = [await anext(corrections)]
     late.bring_back(late.late)
-    late.early.take_in(TENANT, "town")
+    late.early.update(TENANT, "town")
     told.append(await anext(corrections))
     await late.optimise()
     told.append(await anext(corrections))
@@ -136,10 +136,10 @@ async def test_nothing_is_corrected_ahead_where_submaps_wait_and_what_came_meanw
     late.bring_back(late.late)
     for number in range(MOST_WAITING + 1):
         late.write(lambda uow, name=f"op-{number}": uow.queue.enqueue(a_job(name, tenant=TENANT)))
-    late.early.take_in(TENANT, "town")
+    late.early.update(TENANT, "town")
     assert (await late.correction()).early_loops == 0
     late.write(lambda uow: uow.queue.claim("a worker", late.world.clock.instant()))
-    late.early.take_in(TENANT, "town")
+    late.early.update(TENANT, "town")
     assert (await late.correction()).early_loops == MOST_AT_ONCE
 
 
@@ -147,7 +147,7 @@ async def test_what_fails_ahead_of_a_version_harms_nobody(late, monkeypatch):
     late.bring_back(late.late)
     monkeypatch.setattr(CoreMapOptimiser, "solved", lambda *_: 1 / 0)
     with structlog.testing.capture_logs() as logged:
-        late.early.take_in(TENANT, "town")
+        late.early.update(TENANT, "town")
     assert [line["event"] for line in logged] == ["early_correction_failed"]
     assert (await late.correction()).early_loops == 0
 
@@ -156,5 +156,5 @@ def test_a_map_that_is_not_optimised_by_itself_is_not_corrected_by_itself():
     world = memory_world()
     fleet_in(world, "town", sessions=2, submaps=10, per_pair=4)
     early = EarlyCorrections(world.context.transactions, world.clock, Policy(), CoreMapOptimiser())
-    early.take_in(TENANT, "town")
+    early.update(TENANT, "town")
     assert world.context.transactions.read(lambda uow: uow.early_corrections.count(TENANT)).result() == 0

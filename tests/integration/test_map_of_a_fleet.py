@@ -8,10 +8,11 @@ import pytest
 
 from revisit import Client
 from revisit.core.pose_graph import PoseGraph, Robustness, optimise
+from revisit.service.adapters.core_map_optimiser import CoreMapOptimiser
 from revisit.service.application import SessionKey
 from revisit.service.application.catalogue.sessions import CreateSession
-from revisit.service.application.mapping import optimisation
-from revisit.service.application.mapping.optimisation import drop_waiting
+from revisit.service.application.mapping import optimisation_posting
+from revisit.service.application.mapping.optimisation_posting import drop_waiting
 from revisit.service.failpoints import FailpointReached, arm
 from tests.support.fleet_in_service import fleet_in
 from tests.support.live_service import live_service
@@ -84,7 +85,7 @@ async def test_a_map_is_optimised_by_itself_once_its_new_loops_have_settled():
 
 
 async def test_the_loops_of_a_large_map_settle_longer(monkeypatch):
-    monkeypatch.setattr(optimisation, "LOOPS_A_DELAY", 1)
+    monkeypatch.setattr(optimisation_posting, "LOOPS_A_DELAY", 1)
     world = memory_world(optimise_after_loops=1, optimise_delay_ms=5000)
     await described(world, a=1, b=2, c=1)
     accepted = world.context.transactions.read(lambda uow: uow.loops.count(TENANT, state="ACCEPTED")).result()
@@ -127,18 +128,17 @@ async def test_a_graph_that_loses_a_session_while_it_is_optimised_is_read_again(
     world = memory_world()
     made = fleet_in(world, "lost", sessions=2, submaps=20, per_pair=6)
     posted = await world.use_cases.map_versions.optimise(TENANT, made.map_id)
-    worker, lease = world.worker(), world.claim()
-    optimiser, readings = worker._maps.mapping._optimiser, []
+    optimiser, readings = world.optimiser, []
 
-    class Deleting:
+    class Deleting(CoreMapOptimiser):
         def optimise(self, graph, progress):
             readings.append(len(graph.tracks))
             if len(readings) == 1:
                 world.context.transactions.write(lambda uow: delete_one(uow, made.map_id)).result()
             return optimiser.optimise(graph, progress)
 
-    worker._maps.mapping._optimiser = Deleting()
-    worker.run(lease)
+    world.optimiser = Deleting()
+    world.work_off()
     assert readings == [2, 1]
     done = await world.use_cases.operations.get(TENANT, posted.operation.operation_id)
     assert (done.state, done.result["sessions"]) == ("DONE", 1)
@@ -158,17 +158,17 @@ async def test_a_revert_is_not_undone_by_an_optimisation_that_was_under_way():
         await cases.optimise(TENANT, made.map_id)
         world.work_off()
     posted = await cases.optimise(TENANT, made.map_id)
-    worker, lease = world.worker(), world.claim()
+    lease = world.claim()
     waits = await cases.optimise(TENANT, made.map_id)
-    loop, optimiser = asyncio.get_running_loop(), worker._maps.mapping._optimiser
+    loop, optimiser = asyncio.get_running_loop(), world.optimiser
 
-    class Reverting:
+    class Reverting(CoreMapOptimiser):
         def optimise(self, graph, progress):
             asyncio.run_coroutine_threadsafe(cases.revert(TENANT, made.map_id, 1), loop).result(PATIENCE_S)
             return optimiser.optimise(graph, progress)
 
-    worker._maps.mapping._optimiser = Reverting()
-    await asyncio.to_thread(worker.run, lease)
+    world.optimiser = Reverting()
+    await asyncio.to_thread(world.worker().run, lease)
     for operation in (posted, waits):
         ended = await world.use_cases.operations.get(TENANT, operation.operation.operation_id)
         assert (ended.state, "brought back" in ended.result["outcome"]) == ("DONE", True)

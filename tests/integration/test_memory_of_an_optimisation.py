@@ -7,11 +7,10 @@ import pytest
 from revisit.service.adapters.core_map_optimiser import CoreMapOptimiser
 from revisit.service.application.contract.policy import Policy
 from revisit.service.application.contract.states import LoopEventKind
-from revisit.service.application.mapping import graph_reading
+from revisit.service.application.mapping import graph_reading, optimisation
 from revisit.service.application.mapping.early_corrections import EarlyCorrections
 from revisit.service.application.mapping.graph_reading import read_task, with_evidence
 from revisit.service.application.mapping.loop_events import Change, add_loop
-from revisit.service.application.recognise import recognition
 from tests.support.fake_recogniser import FakeRecogniser
 from tests.support.fleet_in_service import fleet_in, loop_record
 from tests.support.service_world import TENANT, memory_world
@@ -61,7 +60,7 @@ def test_a_graph_is_read_page_by_page_without_evidence_that_can_be_read_again(wo
 
 @pytest.mark.parametrize(("large", "times"), [(1, 1), (10_000, 0)])
 async def test_room_is_made_before_a_large_map_is_optimised(world, monkeypatch, large, times):
-    monkeypatch.setattr(recognition, "LARGE_MAP_LOOPS", large)
+    monkeypatch.setattr(optimisation, "LARGE_MAP_LOOPS", large)
     recogniser = Keeping()
     await world.use_cases.map_versions.optimise(TENANT, "town")
     assert world.work_off(recogniser) == 1
@@ -83,7 +82,7 @@ async def test_a_map_that_was_let_go_of_is_solved_again_and_another_one_is_not(w
     for loop, let_go in zip(removed, ("village", "town", "town"), strict=True):
         record = loop_record(loop, submaps)
         write(lambda uow, record=record: add_loop(uow, record, Change(LoopEventKind.VERIFIED, 1))).result()
-        early.take_in(TENANT, "town")
-        early.let_go(TENANT, let_go)
+        early.update(TENANT, "town")
+        early.release(TENANT, let_go)
         counts.append(optimiser.solutions)
     assert counts == [1, 1, 2]

@@ -9,7 +9,7 @@ import pytest
 
 from revisit.core.verification import VerifiedLoop
 from revisit.service.application.mapping.loop_events import LoopStanding
-from revisit.service.application.recognise import recalled_loops
+from revisit.service.application.recognise import loop_recall_job
 from revisit.service.failpoints import arm
 from tests.support.fake_recogniser import FakeRecogniser
 from tests.support.fleet_in_service import fleet_in
@@ -124,7 +124,7 @@ async def test_what_is_rejected_again_is_not_tested_from_there_a_third_time(town
 
 
 async def test_each_version_tests_a_bounded_number_and_the_next_goes_on(town, monkeypatch):
-    monkeypatch.setattr(recalled_loops, "MOST_RECALLED", 1)
+    monkeypatch.setattr(loop_recall_job, "MOST_RECALLED", 1)
     first, second = town.right[:2]
     town.rejected(first, similarity=0.6)
     town.rejected(second, similarity=0.7)

@@ -12,6 +12,7 @@ from revisit.service.application.catalogue.maps import CreateMap
 from revisit.service.application.catalogue.sessions import CreateSession
 from revisit.service.application.contract.errors import AlreadyExists
 from revisit.service.application.mapping.merges import MergeMap
+from revisit.service.application.query.place_memory import PlaceMemory
 from revisit.service.application.query.search_answers import SearchCriteria
 from revisit.service.application.query.searches import LocalizeQuery
 from tests.support.fake_merger import EasyMerger
@@ -116,7 +117,9 @@ def test_a_cloud_is_searched_for_where_it_is_said_to_be(world, storey, sessions,
 
 
 @pytest.mark.parametrize(("storeys", "closed"), [(("B1", "B2"), False), (("B1", "B1"), True)])
-def test_a_session_that_came_while_a_submap_was_described_is_compared_by_its_storey(world, storeys, closed):
+def test_a_session_that_came_while_a_submap_was_described_is_compared_by_its_storey(
+    world, monkeypatch, storeys, closed
+):
     """Both workers search before either commits, so the filter that was read first knows nothing of the other."""
     first, second = world.worker(), world.worker()
 
@@ -127,7 +130,7 @@ def test_a_session_that_came_while_a_submap_was_described_is_compared_by_its_sto
 
     asyncio.run(waiting(FIRST, storeys[0]))
     lease = world.claim()
-    recall, done = first._memory.recall, []
+    recall, done = PlaceMemory.recall, []
 
     def meanwhile(*args):
         """The other session comes, and is described, behind the first search and before its commit."""
@@ -138,7 +141,7 @@ def test_a_session_that_came_while_a_submap_was_described_is_compared_by_its_sto
             second.run(world.claim("w2"))
         return found
 
-    first._memory.recall = meanwhile
+    monkeypatch.setattr(PlaceMemory, "recall", meanwhile)
     first.run(lease)
     assert bool(loops(world, state="ACCEPTED")) is closed
     assert done

@@ -23,11 +23,12 @@ from revisit.service.application.catalogue.sessions import CreateSession
 from revisit.service.application.contract.clock import Instant
 from revisit.service.application.contract.disk import DiskSpace, UnlimitedDisk
 from revisit.service.application.contract.map_merger import MapMerger
+from revisit.service.application.contract.map_optimiser import MapOptimiser
 from revisit.service.application.contract.map_tiles import TileMaker
 from revisit.service.application.contract.recogniser import PlaceRecogniser
 from revisit.service.application.ingest.scans import AppendScan
 from revisit.service.application.ingest.submap_posting import PostSubmap
-from revisit.service.application.recognise.recognition import Recognition
+from revisit.service.application.recognise.job_runner import JobRunner
 from tests.support.fake_merger import FakeMerger
 from tests.support.fake_recogniser import FakeRecogniser
 from tests.support.fake_tiler import FakeTiler
@@ -65,14 +66,15 @@ class World:
     context: Installation
     use_cases: UseCases
     clock: SteppedClock
+    optimiser: MapOptimiser = field(default_factory=CoreMapOptimiser)
     merger: MapMerger = field(default_factory=FakeMerger)
     tiler: TileMaker = field(default_factory=FakeTiler)
     home: Path | None = None
 
-    def worker(self, recogniser: PlaceRecogniser | None = None) -> Recognition:
-        """Another worker's recognition, with an index of its own."""
+    def worker(self, recogniser: PlaceRecogniser | None = None) -> JobRunner:
+        """Another worker's jobs, with an index of its own."""
         own = replace(self.context, index=MemoryVectorIndex())
-        return own.recognition(recogniser or FakeRecogniser(), CoreMapOptimiser(), self.merger, self.tiler)
+        return own.jobs(recogniser or FakeRecogniser(), self.optimiser, self.merger, self.tiler)
 
     def claim(self, owner: str = "w1"):
         """The next lease, or None."""

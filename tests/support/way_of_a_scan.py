@@ -33,6 +33,8 @@ class Trace:
             self.crossed.add((self.leg, Path(name).resolve().relative_to(ROOT).as_posix()))
 
 
+SETTLE_S = 0.3
+
 trace = Trace()
 threading.settrace(trace)
 
@@ -85,6 +87,8 @@ async def stream(home: Path) -> None:
             trace.leg = "scan" if seq == SCANS else ""
             await call.write(message)
             await call.read()
+        trace.leg = ""
+        await asyncio.sleep(SETTLE_S)  # the thread of the writer is past the acknowledgement then
         trace.leg = "end"
         await call.done_writing()
         await call.code()

@@ -7,16 +7,15 @@ from functools import partial
 
 from revisit.core.config import PipelineConfig
 from revisit.service.application.catalogue.downloads import mesh_file, require_neural_map
-from revisit.service.application.contract.blobs import MESH_BLOB, NEURAL_MAP_BLOB, BlobStore
-from revisit.service.application.contract.clock import Clock
+from revisit.service.application.contract.blobs import MESH_BLOB, NEURAL_MAP_BLOB
 from revisit.service.application.contract.errors import StaleLease
 from revisit.service.application.contract.identity import SubmapKey
+from revisit.service.application.contract.job_context import JobContext
 from revisit.service.application.contract.job_queue import Lease
-from revisit.service.application.contract.policy import Policy
 from revisit.service.application.contract.recogniser import PlaceRecogniser
 from revisit.service.application.contract.records import JobRecord
 from revisit.service.application.contract.storage import require_map, require_submap
-from revisit.service.application.contract.transactions import Transactions, UnitOfWork
+from revisit.service.application.contract.transactions import UnitOfWork
 
 MESH_NONCE_BYTES = 16
 """In front of each file, so that the same mesh made twice is two blobs, each deleted with its own answer."""
@@ -25,35 +24,26 @@ MESH_NONCE_BYTES = 16
 class MeshMaking:
     """Runs the jobs that make meshes; all calls block."""
 
-    def __init__(
-        self, transactions: Transactions, blobs: BlobStore, clock: Clock, policy: Policy, recogniser: PlaceRecogniser
-    ) -> None:
+    def __init__(self, context: JobContext, recogniser: PlaceRecogniser) -> None:
         """`recogniser` is the method."""
-        self._transactions = transactions
-        self._blobs = blobs
-        self._clock = clock
-        self._policy = policy
+        self._context = context
         self._recogniser = recogniser
 
     def run(self, lease: Lease) -> None:
         """Make the file of a mesh and hand it over as a blob. Raises NotFound, NotReady, and what the method raises."""
         job = lease.job
-        neural_map, config = self._transactions.read(partial(self._asked, job=job)).result()
-        mesh = self._recogniser.mesh(self._blobs.get(job.tenant, NEURAL_MAP_BLOB, neural_map), config)
+        neural_map, config = self._context.transactions.read(partial(self._asked, job=job)).result()
+        mesh = self._recogniser.mesh(self._context.blobs.get(job.tenant, NEURAL_MAP_BLOB, neural_map), config)
         file = mesh_file(mesh, str(job.payload["format"]))
-        sha256 = self._blobs.put(job.tenant, MESH_BLOB, secrets.token_bytes(MESH_NONCE_BYTES) + file)
+        sha256 = self._context.blobs.put(job.tenant, MESH_BLOB, secrets.token_bytes(MESH_NONCE_BYTES) + file)
         try:
-            self._end(lease, {"sha256": sha256, "bytes": len(file)})
+            self._context.complete(lease, {"sha256": sha256, "bytes": len(file)})
         except StaleLease:  # nobody waits for it, or another worker makes it
-            self._blobs.delete(job.tenant, MESH_BLOB, sha256)
+            self._context.blobs.delete(job.tenant, MESH_BLOB, sha256)
             raise
 
     def _asked(self, uow: UnitOfWork, job: JobRecord) -> tuple[str, PipelineConfig]:
         """The hash of the neural map that a mesh is made of, and the settings of its map."""
         key = SubmapKey(*(job.payload[name] for name in ("map_id", "session_id", "submap_id")))
         neural_map = require_neural_map(require_submap(uow, job.tenant, key))
-        return neural_map, self._policy.for_map(require_map(uow, job.tenant, key.map_id))
-
-    def _end(self, lease: Lease, result: dict[str, object]) -> None:
-        now, now_ns = self._clock.instant(), self._clock.wall_ns()
-        self._transactions.write(lambda uow: uow.queue.complete(lease, result, now, now_ns)).result()
+        return neural_map, self._context.policy.for_map(require_map(uow, job.tenant, key.map_id))

@@ -98,25 +98,25 @@ class EarlyCorrections:
         self._optimiser = optimiser
         self._held: _Held | None = None
 
-    def let_go(self, tenant: TenantId, map_id: str) -> None:
+    def release(self, tenant: TenantId, map_id: str) -> None:
         """Keep this map no longer: an optimisation begins that makes its solution void."""
         if self._held is not None and self._held.map == (tenant, map_id):
             self._held = None
 
-    def take_in(self, tenant: TenantId, map_id: str) -> None:
-        """Take in the accepted loops of a map that its version has not seen, and store what they correct.
+    def update(self, tenant: TenantId, map_id: str) -> None:
+        """Add the accepted loops of a map that its version has not seen, and store what they correct.
 
         Where the map is optimised by itself. What fails here is logged: the optimisation follows.
         """
         if not self._policy.optimise_after_loops:
             return
         try:
-            self._take_in(tenant, map_id)
+            self._update(tenant, map_id)
         except Exception:  # the job that found the loop has ended well
             log.exception("early_correction_failed", map=map_id)
             self._held = None
 
-    def _take_in(self, tenant: TenantId, map_id: str) -> None:
+    def _update(self, tenant: TenantId, map_id: str) -> None:
         read = partial(_news, policy=self._policy, tenant=tenant, map_id=map_id, held=self._held)
         news = self._transactions.read(read).result()
         if news is None:

@@ -36,7 +36,7 @@ from revisit.service.application.mapping.loop_events import (
     before_last_decision,
     change_loop,
 )
-from revisit.service.application.mapping.optimisation import optimise_soon
+from revisit.service.application.mapping.optimisation_posting import optimise_soon
 from revisit.service.application.query.loops import LoopClosureView, loop_seen, require_loop
 
 OVERRULED = "OVERRULED"

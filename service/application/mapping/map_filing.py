@@ -15,17 +15,17 @@ from revisit.core.geometry.se3 import Matrix4, pose_matrix
 from revisit.formats.map_file import FiledSubmap, MapDescription, write_map
 from revisit.service.application.catalogue.maps import policy_in_force
 from revisit.service.application.contract import limits
-from revisit.service.application.contract.blobs import MAP_LAYOUT_BLOB, NEURAL_MAP_BLOB, BlobStore
-from revisit.service.application.contract.clock import Clock
+from revisit.service.application.contract.blobs import MAP_LAYOUT_BLOB, NEURAL_MAP_BLOB
 from revisit.service.application.contract.errors import NotReady, Unavailable
 from revisit.service.application.contract.identity import TenantId
+from revisit.service.application.contract.job_context import JobContext
 from revisit.service.application.contract.job_queue import Lease
 from revisit.service.application.contract.policy import Policy
 from revisit.service.application.contract.records import MapFileRecord, SubmapRecord
 from revisit.service.application.contract.session_poses import PackedSubmaps
 from revisit.service.application.contract.states import MapFileState, SubmapState
 from revisit.service.application.contract.storage import require_descriptor, require_map
-from revisit.service.application.contract.transactions import Transactions, UnitOfWork
+from revisit.service.application.contract.transactions import UnitOfWork
 from revisit.service.application.contract.views import submap_key
 from revisit.service.application.mapping.map_layout import LayoutRecorder, MapLayout
 from revisit.service.application.mapping.tile_plans import submaps_numbered
@@ -54,31 +54,28 @@ class FilingPlan:
 class MapFiling:
     """Runs the jobs that publish versions of maps; all calls block."""
 
-    def __init__(self, transactions: Transactions, blobs: BlobStore, clock: Clock, policy: Policy) -> None:
-        """Layouts are stored in `blobs`."""
-        self._transactions = transactions
-        self._blobs = blobs
-        self._clock = clock
-        self._policy = policy
+    def __init__(self, context: JobContext) -> None:
+        """Layouts are stored as blobs."""
+        self._context = context
 
     def run(self, lease: Lease) -> None:
         """Find out what the bytes of the file are, and store that. Raises NotFound, NotReady, DataLoss."""
         payload, tenant = lease.job.payload, lease.job.tenant
         for _ in range(_READINGS):
-            plan = self._transactions.read(partial(self._plan, tenant=tenant, payload=payload)).result()
+            plan = self._context.transactions.read(partial(self._plan, tenant=tenant, payload=payload)).result()
             layout = self._layout(tenant, plan)
-            map_hash = layout.hash_with(partial(self._blobs.get, tenant, NEURAL_MAP_BLOB))
+            map_hash = layout.hash_with(partial(self._context.blobs.get, tenant, NEURAL_MAP_BLOB))
             blob = layout.to_blob()
-            stored = self._blobs.put(tenant, MAP_LAYOUT_BLOB, blob)
+            stored = self._context.blobs.put(tenant, MAP_LAYOUT_BLOB, blob)
             failpoint("publish.after_blob")
             record = self._record(tenant, payload, plan, map_hash, layout.size, stored)
             commit = partial(self._stored, lease=lease, plan=plan, record=record, blob=blob)
-            if self._transactions.write(commit).result():
+            if self._context.transactions.write(commit).result():
                 return
         raise Unavailable("the map was changed again and again while its file was made")
 
     def _plan(self, uow: UnitOfWork, tenant: TenantId, payload: dict[str, Any]) -> FilingPlan:
-        return read_filing(uow, self._policy, tenant, payload["map_id"], payload["version"])
+        return read_filing(uow, self._context.policy, tenant, payload["map_id"], payload["version"])
 
     def _layout(self, tenant: TenantId, plan: FilingPlan) -> MapLayout:
         recorder = LayoutRecorder({one.neural for one in plan.submaps})
@@ -88,7 +85,7 @@ class MapFiling:
     def _contents(self, tenant: TenantId, plan: FilingPlan) -> Iterator[tuple[FiledSubmap, NDArray[np.float32], bytes]]:
         for one, descriptor in zip(plan.submaps, plan.descriptors, strict=True):
             vector = np.frombuffer(descriptor, dtype="<f4")
-            yield one, vector, self._blobs.get(tenant, NEURAL_MAP_BLOB, one.neural)
+            yield one, vector, self._context.blobs.get(tenant, NEURAL_MAP_BLOB, one.neural)
 
     def _record(
         self, tenant: TenantId, payload: dict[str, Any], plan: FilingPlan, map_hash: str, size: int, layout: str
@@ -104,7 +101,7 @@ class MapFiling:
             submaps=len(plan.submaps),
             state=MapFileState.DISABLED.value,
             description=payload["description"],
-            created_at_ns=self._clock.wall_ns(),
+            created_at_ns=self._context.clock.wall_ns(),
         )
 
     def _stored(self, uow: UnitOfWork, lease: Lease, plan: FilingPlan, record: MapFileRecord, blob: bytes) -> bool:
@@ -115,11 +112,11 @@ class MapFiling:
             return False
         known = uow.map_files.get(tenant, record.map_id, record.version)
         if known is None:
-            if not self._blobs.exists(tenant, MAP_LAYOUT_BLOB, record.layout_sha256):
-                self._blobs.put(tenant, MAP_LAYOUT_BLOB, blob)
+            if not self._context.blobs.exists(tenant, MAP_LAYOUT_BLOB, record.layout_sha256):
+                self._context.blobs.put(tenant, MAP_LAYOUT_BLOB, blob)
             known = uow.map_files.add(record)
             _forget_oldest(uow, tenant, record.map_id)
-        now, now_ns = self._clock.instant(), self._clock.wall_ns()
+        now, now_ns = self._context.clock.instant(), self._context.clock.wall_ns()
         name = f"maps/{known.map_id}/files/{known.version}"
         result = {"map_file": name, "map_hash": known.sha256, "size_bytes": known.size_bytes}
         uow.queue.complete(lease, result, now, now_ns)

@@ -28,7 +28,7 @@ from revisit.service.application.contract.storage import Storage, require_map, r
 from revisit.service.application.contract.transactions import UnitOfWork
 from revisit.service.application.contract.views import PostedOperation, operation_view
 from revisit.service.application.mapping.merge_reading import require_comparable
-from revisit.service.application.mapping.optimisation import drop_waiting
+from revisit.service.application.mapping.optimisation_posting import drop_waiting
 from revisit.service.application.mapping.version_commit import MAP_REVERTED
 from revisit.service.application.mapping.versions import restore_version
 from revisit.service.failpoints import failpoint

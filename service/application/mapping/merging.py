@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from functools import partial
-from typing import Any
 
 import numpy as np
 
@@ -14,16 +12,14 @@ from revisit.core.errors import DataLoss
 from revisit.core.geometry import se3
 from revisit.core.geometry.se3 import Matrix4
 from revisit.core.pair_verdict import PairVerdict, RejectedLoop, RejectionReason, VerifiedLoop
-from revisit.service.application.contract.blobs import NEURAL_MAP_BLOB, PLACE_BLOB, BlobStore
-from revisit.service.application.contract.clock import Clock
+from revisit.service.application.contract.blobs import NEURAL_MAP_BLOB, PLACE_BLOB
 from revisit.service.application.contract.errors import Unavailable
 from revisit.service.application.contract.identity import TenantId
+from revisit.service.application.contract.job_context import JobContext
 from revisit.service.application.contract.job_queue import CANCELLED, Lease
 from revisit.service.application.contract.map_merger import AlignedMaps, MapMerger, SurfaceEvidence
-from revisit.service.application.contract.policy import Policy
 from revisit.service.application.contract.recogniser import PlaceRecogniser
 from revisit.service.application.contract.records import SubmapRecord
-from revisit.service.application.contract.transactions import Transactions
 from revisit.service.application.mapping.merge_commit import NOTHING_TO_MERGE, MergeCommit
 from revisit.service.application.mapping.merge_proposal import (
     CrossingLoop,
@@ -46,27 +42,14 @@ _READINGS = 3
 """How often two maps are read again that have changed while they were compared."""
 
 
-@dataclass(frozen=True)
-class MergeTools:
-    """The method: what verifies two places, and what compares two maps."""
-
-    recogniser: PlaceRecogniser
-    merger: MapMerger
-
-
 class MapMerging:
     """Runs the jobs that merge maps; all calls block."""
 
-    def __init__(
-        self, transactions: Transactions, blobs: BlobStore, clock: Clock, policy: Policy, tools: MergeTools
-    ) -> None:
-        """`tools` are the method."""
-        self._transactions = transactions
-        self._blobs = blobs
-        self._clock = clock
-        self._policy = policy
-        self._recogniser = tools.recogniser
-        self._merger = tools.merger
+    def __init__(self, context: JobContext, recogniser: PlaceRecogniser, merger: MapMerger) -> None:
+        """`recogniser` verifies two places, `merger` compares two maps."""
+        self._context = context
+        self._recogniser = recogniser
+        self._merger = merger
 
     def run(self, lease: Lease) -> None:
         """Read both maps, find out whether they are one, commit the merge or say why not.
@@ -74,13 +57,13 @@ class MapMerging:
         Raises DescriptorModelMismatch; Unavailable where the maps change all the time.
         """
         order = MergeOrder.of(lease.job.payload)
-        progress = Progress(self._transactions, self._clock, lease)
+        progress = Progress(self._context.transactions, self._context.clock, lease)
         try:
             for _ in range(_READINGS):
                 if self._ended(lease, order, progress):
                     return
         except OperationCancelled:
-            self._end(lease, CANCELLED)
+            self._context.complete(lease, CANCELLED)
             return
         raise Unavailable("the maps were changed again and again while they were compared")
 
@@ -88,24 +71,24 @@ class MapMerging:
         """One reading of both maps: whether the job has ended by it."""
         progress("READ_MAPS")
         tenant = lease.job.tenant
-        read = partial(read_merge, policy=self._policy, tenant=tenant, order=order)
-        task = self._transactions.read(read).result()
+        read = partial(read_merge, policy=self._context.policy, tenant=tenant, order=order)
+        task = self._context.transactions.read(read).result()
         if task is None:
-            self._end(lease, NOTHING_TO_MERGE)
+            self._context.complete(lease, NOTHING_TO_MERGE)
             return True
         require_comparable(task.target.task.map, task.source.task.map)
         proposal = self._proposal(tenant, order, task, progress)
         failpoint("map_merge.after_evidence")
         if order.validate_only or proposal.judgement.refusal is not None:
-            self._end(lease, proposal.report())
+            self._context.complete(lease, proposal.report())
             return True
         progress("COMMIT")
-        now, now_ns = self._clock.instant(), self._clock.wall_ns()
-        commit = MergeCommit(lease, proposal, self._policy, now, now_ns)
-        return self._transactions.write(commit).result()
+        now, now_ns = self._context.clock.instant(), self._context.clock.wall_ns()
+        commit = MergeCommit(lease, proposal, self._context.policy, now, now_ns)
+        return self._context.transactions.write(commit).result()
 
     def _proposal(self, tenant: TenantId, order: MergeOrder, task: MergeTask, progress: Progress) -> MergeProposal:
-        config = self._policy.for_map(task.target.task.map)
+        config = self._context.policy.for_map(task.target.task.map)
         crossing = tuple(self._crossing(order, task, config, progress))
         best, others = chosen(crossing)
         numbers = {-place: one for place, one in enumerate(best, 1)}
@@ -126,7 +109,7 @@ class MapMerging:
             return None
         tracks, anchors = aligned.optimised.tracks, set(task.target.sessions)
         first, second = (placed_maps(side, tracks, anchors) for side in (task.target, task.source))
-        read = partial(self._blobs.get, tenant, NEURAL_MAP_BLOB)
+        read = partial(self._context.blobs.get, tenant, NEURAL_MAP_BLOB)
         return self._merger.compare(first, second, read, scale, progress)
 
     def _crossing(
@@ -148,17 +131,13 @@ class MapMerging:
     ) -> PairVerdict:
         """What geometry says of two places; of several alignments that fit, the initial pose says which is meant."""
         try:
-            places = [self._blobs.get(one.tenant, PLACE_BLOB, str(one.place_sha256)) for one in (query, match)]
+            places = [self._context.blobs.get(one.tenant, PLACE_BLOB, str(one.place_sha256)) for one in (query, match)]
             verdict = self._recogniser.verify(places[0], places[1], cosine, config)
             if _is_ambiguous(verdict) and expected is not None:
                 verdict = self._recogniser.verify(places[0], places[1], cosine, config, expected)
         except DataLoss as error:
             return RejectedLoop(RejectionReason.PLACE_LOST, message=error.message)
         return verdict
-
-    def _end(self, lease: Lease, result: dict[str, Any]) -> None:
-        now, now_ns = self._clock.instant(), self._clock.wall_ns()
-        self._transactions.write(lambda uow: uow.queue.complete(lease, result, now, now_ns)).result()
 
 
 def _is_ambiguous(verdict: PairVerdict) -> bool:

@@ -10,15 +10,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from revisit.service.application.contract.blobs import NEURAL_MAP_BLOB, TILE_BLOB, BlobStore
-from revisit.service.application.contract.clock import Clock
+from revisit.service.application.contract.blobs import NEURAL_MAP_BLOB, TILE_BLOB
 from revisit.service.application.contract.errors import NotFound, Unavailable
 from revisit.service.application.contract.identity import TenantId
+from revisit.service.application.contract.job_context import JobContext
 from revisit.service.application.contract.job_queue import Lease
 from revisit.service.application.contract.map_tiles import TileKey, TileMaker, stored_tile
-from revisit.service.application.contract.policy import Policy
 from revisit.service.application.contract.records import MapTileRecord
-from revisit.service.application.contract.transactions import Transactions, UnitOfWork
+from revisit.service.application.contract.transactions import UnitOfWork
 from revisit.service.application.mapping.tile_blob import StoredTile, pack_tile
 from revisit.service.application.mapping.tile_plans import TilePlan, Tiling, read_plan, read_tiling
 from revisit.service.failpoints import failpoint
@@ -33,14 +32,9 @@ _READINGS = 3
 class TileMaking:
     """Runs the jobs that make and measure tiles; all calls block."""
 
-    def __init__(
-        self, transactions: Transactions, blobs: BlobStore, clock: Clock, policy: Policy, maker: TileMaker
-    ) -> None:
+    def __init__(self, context: JobContext, maker: TileMaker) -> None:
         """`maker` is the method."""
-        self._transactions = transactions
-        self._blobs = blobs
-        self._clock = clock
-        self._policy = policy
+        self._context = context
         self._maker = maker
 
     def make(self, lease: Lease) -> None:
@@ -48,21 +42,25 @@ class TileMaking:
         payload, tenant = lease.job.payload, lease.job.tenant
         key = TileKey.of(payload["map_id"], payload["version"], payload["tile"])
         self._tile(tenant, key)
-        self._end(lease, {"tile": key.name})
+        self._context.complete(lease, {"tile": key.name})
 
     def measure(self, lease: Lease) -> None:
         """Signed distances of points, or the points of the surface around one, as the payload asks."""
         payload, tenant = lease.job.payload, lease.job.tenant
         read = partial(
-            read_tiling, policy=self._policy, tenant=tenant, map_id=payload["map_id"], version=payload["version"]
+            read_tiling,
+            policy=self._context.policy,
+            tenant=tenant,
+            map_id=payload["map_id"],
+            version=payload["version"],
         )
-        tiling = self._transactions.read(read).result()
+        tiling = self._context.transactions.read(read).result()
         asked = np.array(payload["points_m"], dtype=np.float64).reshape(-1, 3)
         if payload["within_m"] is None:
             result = self._distances(tenant, tiling, payload["frame"], asked)
         else:
             result = self._around(tenant, tiling, payload, asked[0])
-        self._end(lease, {"frame": payload["frame"], "version": payload["version"], **result})
+        self._context.complete(lease, {"frame": payload["frame"], "version": payload["version"], **result})
 
     def _distances(self, tenant: TenantId, tiling: Tiling, frame: str, points: NDArray[np.float64]) -> dict[str, Any]:
         distance, nearest = np.full(len(points), np.nan), np.full(len(points), np.inf)
@@ -99,12 +97,12 @@ class TileMaking:
         """A tile, made where it is missing; None where no submap reaches it."""
         if not len(tiling.near(key)):
             return None
-        return StoredTile(self._blobs.get(tenant, TILE_BLOB, self._tile(tenant, key)))
+        return StoredTile(self._context.blobs.get(tenant, TILE_BLOB, self._tile(tenant, key)))
 
     def _tile(self, tenant: TenantId, key: TileKey) -> str:
         """The hash of a tile's blob, which is made and stored where it is missing."""
         for _ in range(_READINGS):
-            sha256, plan = self._transactions.read(partial(self._found, tenant=tenant, key=key)).result()
+            sha256, plan = self._context.transactions.read(partial(self._found, tenant=tenant, key=key)).result()
             if sha256 is None:
                 sha256 = self._made(tenant, plan)
             if sha256 is not None:
@@ -112,39 +110,35 @@ class TileMaking:
         raise Unavailable("the submaps of the tile were changed again and again while it was made")
 
     def _found(self, uow: UnitOfWork, tenant: TenantId, key: TileKey) -> tuple[str | None, TilePlan]:
-        return stored_tile(uow, tenant, key), read_plan(uow, self._policy, tenant, key)
+        return stored_tile(uow, tenant, key), read_plan(uow, self._context.policy, tenant, key)
 
     def _made(self, tenant: TenantId, plan: TilePlan) -> str | None:
         """Make a tile and store it; None where its submaps have changed meanwhile."""
-        read = partial(self._blobs.get, tenant, NEURAL_MAP_BLOB)
+        read = partial(self._context.blobs.get, tenant, NEURAL_MAP_BLOB)
         blob = pack_tile(self._maker.fuse(plan.maps, plan.centre_m, read), plan.centre_m)
-        sha256 = self._blobs.put(tenant, TILE_BLOB, blob)
+        sha256 = self._context.blobs.put(tenant, TILE_BLOB, blob)
         failpoint("tile.after_blob")
-        keep: Callable[[], str] = partial(self._blobs.put, tenant, TILE_BLOB, blob)
+        keep: Callable[[], str] = partial(self._context.blobs.put, tenant, TILE_BLOB, blob)
         commit = partial(self._stored, tenant=tenant, plan=plan, sha256=sha256, keep=keep)
-        return sha256 if self._transactions.write(commit).result() else None
+        return sha256 if self._context.transactions.write(commit).result() else None
 
     def _stored(self, uow: UnitOfWork, tenant: TenantId, plan: TilePlan, sha256: str, keep: Callable[[], str]) -> bool:
         """Store the row of a tile whose submaps are what they were."""
         key = plan.key
         try:
-            if read_plan(uow, self._policy, tenant, key) != plan:
+            if read_plan(uow, self._context.policy, tenant, key) != plan:
                 return False
         except NotFound:
             return False
         if stored_tile(uow, tenant, key) is None:
-            if not self._blobs.exists(tenant, TILE_BLOB, sha256):
+            if not self._context.blobs.exists(tenant, TILE_BLOB, sha256):
                 keep()
             row = MapTileRecord(
-                tenant, key.map_id, key.version, key.tile_id, sha256, len(plan.placed), self._clock.wall_ns()
+                tenant, key.map_id, key.version, key.tile_id, sha256, len(plan.placed), self._context.clock.wall_ns()
             )
             uow.map_tiles.add(row)
             _forget_oldest(uow, tenant, key.map_id)
         return True
-
-    def _end(self, lease: Lease, result: dict[str, Any]) -> None:
-        now, now_ns = self._clock.instant(), self._clock.wall_ns()
-        self._transactions.write(lambda uow: uow.queue.complete(lease, result, now, now_ns)).result()
 
 
 def _forget_oldest(uow: UnitOfWork, tenant: TenantId, map_id: str) -> None:

@@ -31,7 +31,7 @@ from revisit.service.application.contract.states import LoopState
 from revisit.service.application.contract.storage import Storage, require_map
 from revisit.service.application.contract.transactions import UnitOfWork
 from revisit.service.application.contract.views import PostedOperation, operation_view
-from revisit.service.application.mapping.optimisation import (
+from revisit.service.application.mapping.optimisation_posting import (
     brought_forward,
     drop_waiting,
     post_optimisation,

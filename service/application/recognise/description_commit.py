@@ -31,7 +31,7 @@ from revisit.service.application.mapping.loop_events import (
     change_loop,
     decided_by_person,
 )
-from revisit.service.application.mapping.optimisation import optimise_soon
+from revisit.service.application.mapping.optimisation_posting import optimise_soon
 from revisit.service.application.query.place_memory import ReadFilter, RecalledPlace
 from revisit.service.failpoints import failpoint
 

@@ -1,25 +1,31 @@
-"""Loops that people have made: what a worker reads of one, and the transaction that stores its verdict."""
+"""The job that verifies a loop which a person has proposed."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from revisit.core.geometry.se3 import Matrix4, pose_matrix, pose_row
 from revisit.core.pair_verdict import PairVerdict, RejectedLoop, VerifiedLoop
+from revisit.service.application.contract.blobs import PLACE_BLOB
 from revisit.service.application.contract.clock import Instant
+from revisit.service.application.contract.job_context import JobContext
 from revisit.service.application.contract.job_queue import Lease
 from revisit.service.application.contract.loop_claims import rules_of, verdict_evidence
 from revisit.service.application.contract.policy import Policy
+from revisit.service.application.contract.recogniser import PlaceRecogniser
 from revisit.service.application.contract.records import JobRecord, LoopRecord, MapRecord, SubmapRecord
 from revisit.service.application.contract.states import LoopEventKind, LoopState
 from revisit.service.application.contract.storage import require_descriptor, require_map
 from revisit.service.application.contract.transactions import UnitOfWork
+from revisit.service.application.mapping.early_corrections import EarlyCorrections
 from revisit.service.application.mapping.loop_events import Change, change_loop
-from revisit.service.application.mapping.optimisation import optimise_soon
+from revisit.service.application.mapping.optimisation_posting import optimise_soon
 from revisit.service.application.query.place_memory import RecalledPlace
+from revisit.service.application.recognise.comparison import Comparison
 
 NO_LONGER_PROPOSED = {"outcome": "the loop was deleted, or somebody decided on it meanwhile"}
 """The result of a job that had nothing left to verify."""
@@ -79,7 +85,32 @@ class VerdictCommit:
         return {"model_version": self.model_version, **rules_of(evidence)}
 
 
-def proposed_pair(uow: UnitOfWork, job: JobRecord) -> ProposedPair | None:
+class ProposedLoopJob:
+    """Verifies proposed loops; all calls block."""
+
+    def __init__(self, context: JobContext, recogniser: PlaceRecogniser, early: EarlyCorrections) -> None:
+        """`early` corrects a map by the loops that hold."""
+        self._context = context
+        self._recogniser = recogniser
+        self._comparison = Comparison(context.blobs, recogniser)
+        self._early = early
+
+    def run(self, lease: Lease) -> None:
+        """Register the two submaps of a loop and store the verdict."""
+        context = self._context
+        pair = context.transactions.read(partial(_proposed_pair, job=lease.job)).result()
+        verdict = None
+        if pair is not None:
+            place = context.blobs.get(pair.query.tenant, PLACE_BLOB, str(pair.query.place_sha256))
+            verdict = self._comparison.verify(place, pair.match, context.policy.for_map(pair.map), pair.near)
+        now, now_ns = context.clock.instant(), context.clock.wall_ns()
+        commit = VerdictCommit(lease, self._recogniser.model_version, context.policy, pair, verdict, now, now_ns)
+        context.transactions.write(commit).result()
+        if pair is not None and isinstance(verdict, VerifiedLoop):
+            self._early.update(pair.map.tenant, pair.map.map_id)
+
+
+def _proposed_pair(uow: UnitOfWork, job: JobRecord) -> ProposedPair | None:
     """What is to be verified; None where it is gone, or no longer a proposal."""
     loop = _proposed(uow, job)
     if loop is None:

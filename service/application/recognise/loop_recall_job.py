@@ -1,4 +1,4 @@
-"""Rejected loops that a new version of their map gives another chance: recall (docs/decisions/0090).
+"""The job that tests rejected loops again after a new version of their map: recall.
 
 Geometry rejects some pairs because registration started in the wrong place. Once a map has converged, it says how two
 submaps lie to each other. Pairs that it puts near each other are registered again from there. The usual gates decide.
@@ -19,16 +19,22 @@ from revisit.core.geometry.se3 import Matrix4, pose_matrix, pose_row
 from revisit.core.pair_verdict import PairVerdict, RejectedLoop, RejectionReason, VerifiedLoop
 from revisit.service.application.contract.clock import Instant
 from revisit.service.application.contract.identity import TenantId
-from revisit.service.application.contract.job_queue import Lease
+from revisit.service.application.contract.job_context import JobContext
+from revisit.service.application.contract.job_queue import CANCELLED, Lease
 from revisit.service.application.contract.loop_claims import rules_of, verdict_evidence
 from revisit.service.application.contract.map_frames import LoopInMap, MapFrames
 from revisit.service.application.contract.policy import Policy
+from revisit.service.application.contract.recogniser import PlaceRecogniser
 from revisit.service.application.contract.records import LoopRecord, MapRecord, SubmapRecord
 from revisit.service.application.contract.states import LoopEventKind, LoopState
 from revisit.service.application.contract.transactions import Transactions, UnitOfWork
+from revisit.service.application.mapping.early_corrections import EarlyCorrections
 from revisit.service.application.mapping.loop_events import Change, LoopStanding, change_loop, decided_by_person
-from revisit.service.application.mapping.optimisation import optimise_soon
-from revisit.service.application.mapping.progress import Progress
+from revisit.service.application.mapping.optimisation_posting import optimise_soon
+from revisit.service.application.mapping.progress import OperationCancelled, Progress
+from revisit.service.application.query.place_memory import RecalledPlace
+from revisit.service.application.recognise.comparison import Comparison
+from revisit.service.failpoints import failpoint
 
 RECALL = "recall"
 """The member of a loop's evidence that says from which version of the map it was tested again, and with what result."""
@@ -69,6 +75,45 @@ class _Found:
     map: MapRecord
     record: LoopRecord
     T_match_query: Matrix4
+
+
+class LoopRecallJob:
+    """Registers rejected loops again from where the new version of their map has their submaps; all calls block."""
+
+    def __init__(self, context: JobContext, recogniser: PlaceRecogniser, early: EarlyCorrections) -> None:
+        """`early` corrects a map by the loops that hold."""
+        self._context = context
+        self._recogniser = recogniser
+        self._comparison = Comparison(context.blobs, recogniser)
+        self._early = early
+
+    def run(self, lease: Lease) -> None:
+        """Test the loops of a map and store the verdicts; nothing where somebody cancels the operation."""
+        context, tenant, map_id = self._context, lease.job.tenant, str(lease.job.payload["map_id"])
+        try:
+            tested = self._tested(tenant, map_id, Progress(context.transactions, context.clock, lease))
+        except OperationCancelled:
+            context.complete(lease, CANCELLED)
+            return
+        failpoint("recall.before_commit")
+        now, now_ns = context.clock.instant(), context.clock.wall_ns()
+        commit = RecallCommit(lease, self._recogniser.model_version, context.policy, tested, now, now_ns)
+        if context.transactions.write(commit).result():
+            self._early.update(tenant, map_id)
+
+    def _tested(self, tenant: TenantId, map_id: str, progress: Progress) -> list[RecalledLoop]:
+        loops = loops_to_recall(self._context.transactions, self._context.policy, tenant, map_id, progress)
+        tested = []
+        for done, loop in enumerate(loops):
+            progress("VERIFY_LOOPS", done, len(loops))
+            tested.append(self._recalled(loop))
+        return tested
+
+    def _recalled(self, loop: RecalledLoop) -> RecalledLoop:
+        config, match = self._context.policy.for_map(loop.map), RecalledPlace(loop.match, loop.record.similarity)
+        place = self._comparison.place_of(loop.query)
+        verdict = self._comparison.verify(place, match, config, loop.T_match_query, near_decides=False)
+        return kept_near(loop, verdict)
 
 
 def loops_to_recall(
