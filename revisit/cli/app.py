@@ -11,6 +11,7 @@ from revisit.cli import (
     audit,
     backup,
     bench,
+    catalogue,
     demo,
     doctor,
     evaluate,
@@ -27,7 +28,6 @@ from revisit.cli import (
     queries,
     reembed,
     serve,
-    sessions,
     spool,
     watch,
 )
@@ -51,18 +51,14 @@ def _version(wanted: bool) -> None:
 
 
 COMMANDS = (
-    serve.serve, serve.worker, serve.migrate, inspect.inspect, ingest.ingest, spool.spool, queries.query,
-    queries.loops, watch.watch, explain.explain, export.export, pose_graph.pose_graph, merging.merge, demo.demo,
-    evaluate.evaluate, bench.bench, doctor.doctor, reembed.reembed, backup.backup, backup.restore,
-    backup.scrub,
+    serve.serve, serve.migrate, inspect.inspect, ingest.ingest, spool.spool, catalogue.maps, catalogue.sessions,
+    catalogue.delete, queries.query, queries.loops, loop_decisions.loop, watch.watch, explain.explain, export.export,
+    pose_graph.pose_graph, merging.merge, operations.operations, demo.demo, evaluate.evaluate, bench.bench,
+    doctor.doctor, audit.audit, reembed.reembed, backup.backup, backup.restore, backup.scrub,
 )  # fmt: skip
 GROUPS = {
     "map": maps.group,
-    "session": sessions.group,
-    "loop": loop_decisions.group,
-    "operations": operations.group,
     "keys": keys.group,
-    "audit": audit.group,
 }
 
 

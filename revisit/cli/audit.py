@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from dataclasses import asdict
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -16,39 +17,42 @@ from revisit.cli.output import emit_json, emit_table, refuse, say, utc
 if TYPE_CHECKING:
     from revisit.service.application.contract.access_ports import AuditRecord
 
-group = typer.Typer(help="Read and verify the audit log.", no_args_is_help=True)
 
-
-@group.command("list")
 @needs("service")
-def list_audit(
+def audit(
     limit: Annotated[int, typer.Option(min=1, help="How many rows, counted from the newest.")] = 100,
+    verify: Annotated[
+        bool, typer.Option("--verify", help="Check that no row was changed or taken out; exit status 1 where one was.")
+    ] = False,
+    expect: Annotated[str, typer.Option(help="With --verify: ROW:HASH noted from an earlier run.")] = "",
     home: Home = None,
     json: Json = False,
 ) -> None:
-    """Show the newest rows, oldest first."""
+    """Show the newest rows of the audit log, oldest first, or verify all of it."""
+    if verify:
+        _verify(expect, home, json)
+    elif expect:
+        raise refuse("--expect is for --verify")
+    else:
+        _list(limit, home, json)
+
+
+def _list(limit: int, home: Path | None, as_json: bool) -> None:
     with use_cases_on(home) as use_cases:
         rows = asyncio.run(use_cases.audit.newest(limit))
-    if json:
+    if as_json:
         emit_json([asdict(row) for row in rows])
         return
     table = [(r.number, utc(r.at_ns), r.tenant, r.actor, r.action, r.subject, _detail(r)) for r in rows]
     emit_table("Audit log", ("row", "time", "tenant", "actor", "action", "subject", "detail"), table)
 
 
-@group.command("verify")
-@needs("service")
-def verify_audit(
-    expect: Annotated[str, typer.Option(help="ROW:HASH noted from an earlier run.")] = "",
-    home: Home = None,
-    json: Json = False,
-) -> None:
-    """Check that no row was changed or taken out; exit status 1 where one was."""
+def _verify(expect: str, home: Path | None, as_json: bool) -> None:
     with use_cases_on(home) as use_cases:
         verdict = asyncio.run(use_cases.audit.verify())
         if expect and verdict.fault is None and not asyncio.run(use_cases.audit.holds(*_noted(expect))):
             raise refuse(f"the log is not the one that {expect} was noted from")
-    if json:
+    if as_json:
         emit_json(asdict(verdict))
     elif verdict.fault is None:
         head = f"{verdict.rows}:{verdict.head}"
@@ -61,7 +65,7 @@ def _noted(text: str) -> tuple[int, str]:
     """The number and the hash of a row, out of ROW:HASH."""
     number, _, digest = text.partition(":")
     if not number.isdecimal() or len(digest) != 64:
-        raise refuse("--expect takes ROW:HASH, as `revisit audit verify` shows it")
+        raise refuse("--expect takes ROW:HASH, as `revisit audit --verify` shows it")
     return int(number), digest
 
 

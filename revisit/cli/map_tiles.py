@@ -4,24 +4,45 @@ from __future__ import annotations
 
 from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from revisit.cli.options import HTTP, Http, Json, MapName
 from revisit.cli.output import emit_json, emit_table, refuse, say
 
+if TYPE_CHECKING:
+    from revisit.sdk.client import Client
+    from revisit.sdk.resources import MapTile
+
 FORMATS = ("glb", "mesh", "pcd", "ply", "npy", "neural")
 Frame = Annotated[str, typer.Option(help="The frame of the map that is meant; needed where there are several.")]
 
 
-def tiles(map_id: MapName = "default", http: Http = HTTP, json: Json = False) -> None:
-    """List the tiles of the version of a map that is in force."""
+def tiles(
+    tile_id: Annotated[str, typer.Argument(metavar="TILE", help="One of them, to download.")] = "",
+    out: Annotated[Path | None, typer.Option(help="File to write the surface of TILE to.")] = None,
+    map_id: MapName = "default",
+    file_format: Annotated[str, typer.Option("--format", help=f"{', '.join(FORMATS)}; mesh is ply.")] = "glb",
+    http: Http = HTTP,
+    json: Json = False,
+) -> None:
+    """List the tiles of the version of a map in force, or download the surface of one; a worker makes it if need be."""
     from revisit.sdk.client import Client
 
+    if bool(tile_id) != (out is not None):
+        raise refuse("to download, give TILE and --out FILE")
+    if file_format not in FORMATS:
+        raise refuse(f"--format is one of {', '.join(FORMATS)}")
     with Client(http) as client:
-        found = client.map_tiles(f"maps/{map_id}")
-    if json:
+        if out is not None:
+            _download(client, map_id, tile_id, file_format, out)
+        else:
+            _list(map_id, client.map_tiles(f"maps/{map_id}"), json)
+
+
+def _list(map_id: str, found: list[MapTile], as_json: bool) -> None:
+    if as_json:
         emit_json([asdict(one) for one in found])
         return
     rows = [
@@ -32,21 +53,9 @@ def tiles(map_id: MapName = "default", http: Http = HTTP, json: Json = False) ->
     emit_table(f"Tiles of map {map_id}", names, rows)
 
 
-def tile(
-    tile_id: Annotated[str, typer.Argument(help="As `revisit map tiles` lists it.")],
-    out: Annotated[Path, typer.Option(help="File to write.")],
-    map_id: MapName = "default",
-    file_format: Annotated[str, typer.Option("--format", help=f"{', '.join(FORMATS)}; mesh is ply.")] = "glb",
-    http: Http = HTTP,
-) -> None:
-    """Download the surface of a tile; a worker makes it when it is asked for first."""
-    from revisit.sdk.client import Client
-
-    if file_format not in FORMATS:
-        raise refuse(f"--format is one of {', '.join(FORMATS)}")
-    with Client(http) as client:
-        version = client.get_map(f"maps/{map_id}").map_version
-        data = client.download_tile(f"maps/{map_id}/versions/{version}/tiles/{tile_id}", file_format)
+def _download(client: Client, map_id: str, tile_id: str, file_format: str, out: Path) -> None:
+    version = client.get_map(f"maps/{map_id}").map_version
+    data = client.download_tile(f"maps/{map_id}/versions/{version}/tiles/{tile_id}", file_format)
     out.write_bytes(data)
     say(f"{out}: {len(data):,} bytes of tile {tile_id}, version {version} of map {map_id}")
 

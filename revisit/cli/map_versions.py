@@ -1,4 +1,4 @@
-"""Versions of a map as files: saved, checked, compared, asked."""
+"""Versions of a map as files: saved, published, checked, compared."""
 
 from __future__ import annotations
 
@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from revisit.cli.extras import needs
 from revisit.cli.options import HTTP, Http, Json, MapName
 from revisit.cli.output import emit_json, emit_table, progress_bar, refuse, reporter, say
 
@@ -20,7 +19,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from revisit.formats.map_file import FiledSubmap
+    from revisit.formats.map_file import FiledSubmap, MapDifference
     from revisit.sdk.client import Client
     from revisit.sdk.resources import Map, MapFile, MapVersion, Submap, SubmapPose
 
@@ -80,13 +79,9 @@ def publish(
         say(f"{file.name}: {file.map_status}, {file.size_bytes:,} bytes, mapHash {file.map_hash}")
 
 
-def files(map_id: MapName = "default", http: Http = HTTP, json: Json = False) -> None:
-    """List the published files of a map."""
-    from revisit.sdk.client import Client
-
-    with Client(http) as client:
-        found = client.map_files(f"maps/{map_id}")
-    if json:
+def emit_files(map_id: str, found: list[MapFile], as_json: bool) -> None:
+    """The published files of a map, for a program or for a person."""
+    if as_json:
         emit_json([asdict(one) for one in found])
         return
     rows = [(f.map_version, f.map_status, f.submaps, f.size_bytes, f.map_hash[:12], f.map_descriptor) for f in found]
@@ -94,29 +89,35 @@ def files(map_id: MapName = "default", http: Http = HTTP, json: Json = False) ->
 
 
 def check(
-    file: Filed, expected: Annotated[str, typer.Option("--hash", help="The mapHash that it must have.")] = ""
+    file: Filed,
+    expected: Annotated[str, typer.Option("--hash", help="The mapHash that it must have.")] = "",
+    since: Annotated[
+        Path | None, typer.Option(exists=True, dir_okay=False, help="An older map file: list what changed since.")
+    ] = None,
+    json: Json = False,
 ) -> None:
-    """Check every byte of a map file against its manifest, and the whole against a hash."""
-    from revisit.formats.map_file import MapFile, hash_of_file
+    """Check every byte of a map file against its manifest and the whole against a hash; list what changed --since."""
+    from revisit.formats.map_file import MapFile, difference, hash_of_file
 
     with MapFile.open(file) as opened:
         opened.verify()
-        one = opened.description
+        one, submaps, changes = opened.description, len(opened.submaps), None
+        if since is not None:
+            with MapFile.open(since) as older:
+                changes = difference(older, opened)
     found = hash_of_file(file)
     if expected and found != expected.lower():
         raise refuse(f"{file} has the hash {found}")
-    say(f"{file}: version {one.map_version} of map {one.map_id}, {len(opened.submaps)} submaps, whole, mapHash {found}")
-
-
-def diff(older: Filed, newer: Filed, json: Json = False) -> None:
-    """What changed from one map file to another."""
-    from revisit.formats.map_file import MapFile, difference
-
-    with MapFile.open(older) as before, MapFile.open(newer) as after:
-        found = difference(before, after)
     if json:
-        emit_json(asdict(found))
+        told = {"map_id": one.map_id, "map_version": one.map_version, "submaps": submaps, "map_hash": found}
+        emit_json({**told, "changes": None if changes is None else asdict(changes)})
         return
+    say(f"{file}: version {one.map_version} of map {one.map_id}, {submaps} submaps, whole, mapHash {found}")
+    if changes is not None:
+        _show_changes(changes)
+
+
+def _show_changes(found: MapDifference) -> None:
     moved = list(found.moved_m.values()) or [0.0]
     rows = [
         ("submaps added", len(found.added)),
@@ -128,31 +129,6 @@ def diff(older: Filed, newer: Filed, json: Json = False) -> None:
         ("bytes that are new", found.bytes_new),
     ]
     emit_table("Changes", ("what", "value"), rows)
-
-
-@needs("service")
-def localise(
-    file: Filed,
-    cloud: Annotated[Path, typer.Argument(exists=True, dir_okay=False, help="A cloud: pcd, ply, npy or bin.")],
-    candidates: Annotated[int, typer.Option(min=1, max=100, help="Submaps to compare with.")] = 10,
-    json: Json = False,
-) -> None:
-    """Say where in a map file a cloud was taken, without a service."""
-    from revisit.area import AreaMap
-    from revisit.formats import decode_cloud, media_type_for_suffix
-
-    points = decode_cloud(cloud.read_bytes(), media_type_for_suffix(cloud.suffix)).points
-    with AreaMap.open(file) as area:
-        found = area.localize(points, candidates=candidates)
-    if json:
-        emit_json(asdict(found))
-    elif found.best is None or found.in_map is None:
-        say(f"unknown: none of {len(found.candidates)} candidates was accepted")
-    else:
-        x, y, z = found.in_map.T_map[:3, 3]
-        yaw = math.degrees(math.atan2(found.in_map.T_map[1, 0], found.in_map.T_map[0, 0]))
-        where = f"x {x:.2f} y {y:.2f} z {z:.2f} m, yaw {yaw:.1f} deg in {found.in_map.frame}"
-        say(f"{where} (score {found.best.score:.2f}, {found.best.submap})")
 
 
 def vda5050(map_id: str, version: MapVersion, map_hash: str, link: str) -> dict[str, Any]:

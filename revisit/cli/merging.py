@@ -9,6 +9,7 @@ import typer
 
 from revisit.cli.options import HTTP, Http, Json
 from revisit.cli.output import emit_json, emit_table, refuse, say
+from revisit.cli.submap_names import map_or_session
 from revisit.cli.waiting import waited
 
 if TYPE_CHECKING:
@@ -38,7 +39,7 @@ def merge(
         T_map_source = _pose(near)
         before = _tracks(client, into) if picture is not None and not dry_run else {}
         asked: dict[str, Any] = {} if T_map_source is None else {"T_map_source": T_map_source, "radius_m": radius}
-        operation = client.merge_map(f"maps/{into}", _source_name(source), validate_only=dry_run, **asked)
+        operation = client.merge_map(f"maps/{into}", map_or_session(source), validate_only=dry_run, **asked)
         result = waited(client, operation, quiet=json).result or {}
         if picture is not None and result.get("verdict") == "MERGED":
             _draw(picture, before, _tracks(client, into), result)
@@ -88,11 +89,6 @@ def _show(result: dict[str, Any]) -> None:
 
 def _number(value: float | None) -> str:
     return "-" if value is None else f"{value:.3f}"
-
-
-def _source_name(source: str) -> str:
-    map_id, _, session_id = source.partition("/")
-    return f"maps/{map_id}/sessions/{session_id}" if session_id else f"maps/{map_id}"
 
 
 def _pose(near: str) -> Any:

@@ -11,54 +11,55 @@ from revisit.cli.options import HTTP, Http, Json
 from revisit.cli.output import emit_json, emit_table, refuse
 
 if TYPE_CHECKING:
+    from revisit.sdk.client import Client
     from revisit.sdk.resources import Operation
 
 STATES = ("QUEUED", "RUNNING", "DONE", "FAILED", "ALL")
 
-group = typer.Typer(help="Look at the service's work, and queue again what has failed.", no_args_is_help=True)
 
-
-@group.command("list")
-def list_operations(
+def operations(
+    names: Annotated[list[str] | None, typer.Argument(help="Ids, of those to retry or to cancel.")] = None,
     state: Annotated[str, typer.Option(help="QUEUED, RUNNING, DONE, FAILED or ALL.")] = "FAILED",
+    retry: Annotated[
+        bool, typer.Option("--retry", help="Queue these failed descriptions again, with as many attempts as new ones.")
+    ] = False,
+    cancel: Annotated[
+        bool, typer.Option("--cancel", help="End these optimisations or merges: at once, or at their next step.")
+    ] = False,
+    every: Annotated[bool, typer.Option("--all", help="With --retry: every description that has failed.")] = False,
     http: Http = HTTP,
     json: Json = False,
 ) -> None:
-    """List operations with what they are about and why they failed; by default those that failed for good."""
+    """List operations with what they are about and why they failed, by default those that failed for good.
+
+    With --retry or --cancel: those named.
+    """
     from revisit.sdk.client import Client
 
     if state.upper() not in STATES:
         raise refuse(f"--state is one of {', '.join(STATES)}")
+    _require_one_way(names, retry=retry, cancel=cancel, every=every)
+    given = [f"operations/{one.removeprefix('operations/')}" for one in names or []]
     with Client(http) as client:
-        _emit(client.list_operations(state=None if state.upper() == "ALL" else state.upper()), json)
+        if retry:
+            _emit([client.retry_operation(name) for name in given or _failed_descriptions(client)], json)
+        elif cancel:
+            _emit([client.cancel_operation(name) for name in given], json)
+        else:
+            _emit(client.list_operations(state=None if state.upper() == "ALL" else state.upper()), json)
 
 
-@group.command("retry")
-def retry(
-    names: Annotated[list[str] | None, typer.Argument(help="Their ids.")] = None,
-    every: Annotated[bool, typer.Option("--all", help="Every description that has failed.")] = False,
-    http: Http = HTTP,
-    json: Json = False,
-) -> None:
-    """Queue failed descriptions again, with as many attempts as new ones."""
-    from revisit.sdk.client import Client
-
-    if every == bool(names):
-        raise refuse("give either ids or --all")
-    with Client(http) as client:
-        failed = client.list_operations(state="FAILED") if every else []
-        chosen = [operation.name for operation in failed if operation.kind == "DESCRIBE_SUBMAP"]
-        chosen += [f"operations/{given.removeprefix('operations/')}" for given in names or []]
-        _emit([client.retry_operation(name) for name in chosen], json)
+def _require_one_way(names: list[str] | None, *, retry: bool, cancel: bool, every: bool) -> None:
+    """Exits unless it is a list, or a retry or an end of what is named."""
+    listing = not (names or retry or cancel or every)
+    retrying = retry and not cancel and every != bool(names)
+    cancelling = cancel and not retry and not every and bool(names)
+    if not (listing or retrying or cancelling):
+        raise refuse("give --retry with ids or --all, or --cancel with ids")
 
 
-@group.command("cancel")
-def cancel(name: Annotated[str, typer.Argument(help="Its id.")], http: Http = HTTP, json: Json = False) -> None:
-    """End an operation that optimises or merges maps: at once where it waits, else at its next step."""
-    from revisit.sdk.client import Client
-
-    with Client(http) as client:
-        _emit([client.cancel_operation(f"operations/{name.removeprefix('operations/')}")], json)
+def _failed_descriptions(client: Client) -> list[str]:
+    return [one.name for one in client.list_operations(state="FAILED") if one.kind == "DESCRIBE_SUBMAP"]
 
 
 def _emit(operations: list[Operation], as_json: bool) -> None:

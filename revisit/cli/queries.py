@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from revisit.cli.extras import needs
 from revisit.cli.options import HTTP, Http, Json, MapName
 from revisit.cli.output import emit_json, emit_table, refuse, say
 from revisit.cli.submap_names import full_name, short_name
@@ -33,12 +34,20 @@ def query(
     storey: Annotated[
         str, typer.Option(help="Storey that the cloud was taken on: sessions on another one are left out.")
     ] = "",
+    file: Annotated[
+        Path | None, typer.Option(exists=True, dir_okay=False, help="Localise in this map file, without a service.")
+    ] = None,
     http: Http = HTTP,
     json: Json = False,
 ) -> None:
     """Say where a cloud was taken, or which submaps look like a submap."""
     from revisit.sdk.client import Client
 
+    if file is not None:
+        if cloud is None or submap or exclude_session or level or storey:
+            raise refuse("--file takes a cloud, and neither --submap, --exclude-session, --level nor --storey")
+        _localize_in_file(file, cloud, k, json)
+        return
     if (cloud is None) == (not submap):
         raise refuse("give either a cloud file or --submap SESSION/SUBMAP")
     if submap and storey:
@@ -115,6 +124,25 @@ def _localize(client: Client, map_id: str, cloud: Path, k: int, where: dict[str,
         return
     x, y, z = found.T_odom_query[:3, 3]
     say(f"Taken at x {x:.2f} m, y {y:.2f} m, z {z:.2f} m in the odometry frame of {short_name(found.session or '')}.")
+
+
+@needs("service")
+def _localize_in_file(file: Path, cloud: Path, k: int, as_json: bool) -> None:
+    from revisit.area import AreaMap
+    from revisit.formats import decode_cloud, media_type_for_suffix
+
+    points = decode_cloud(cloud.read_bytes(), media_type_for_suffix(cloud.suffix)).points
+    with AreaMap.open(file) as area:
+        found = area.localize(points, candidates=k)
+    if as_json:
+        emit_json(asdict(found))
+    elif found.best is None or found.in_map is None:
+        say(f"unknown: none of {len(found.candidates)} candidates was accepted")
+    else:
+        x, y, z = found.in_map.T_map[:3, 3]
+        yaw = math.degrees(math.atan2(found.in_map.T_map[1, 0], found.in_map.T_map[0, 0]))
+        where = f"x {x:.2f} y {y:.2f} z {z:.2f} m, yaw {yaw:.1f} deg in {found.in_map.frame}"
+        say(f"{where} (score {found.best.score:.2f}, {found.best.submap})")
 
 
 def _level(quaternion: str) -> Matrix4 | None:

@@ -80,8 +80,8 @@ def require_stored(client: Client, session: Session, recording: Recording, count
         return
     message = (
         f"{session.name} is finished and takes no more scans, and {lacking}. Give the recording a session of its own, "
-        f"with --session NAME, or delete that one (`revisit session delete`, or DELETE /v1/{session.name}) and ingest "
-        "again"
+        f"with --session NAME, or delete that one (`revisit delete {session.name}`, or DELETE /v1/{session.name}) and "
+        "ingest again"
     )
     raise FailedPrecondition(ErrorDetails("FAILED_PRECONDITION", "SESSION_FINISHED", message))
 

@@ -1,4 +1,4 @@
-"""`revisit serve`, `worker` and `migrate`: the service's own commands."""
+"""`revisit serve` and `migrate`: the service's own commands."""
 
 from __future__ import annotations
 
@@ -23,12 +23,6 @@ def serve(
 ) -> None:
     """Run the service: REST, gRPC and workers; its log is JSON. Options stand above the REVISIT_* variables."""
     _run("serve", home=home, host=host, http_port=http_port, grpc_port=grpc_port, workers=workers)
-
-
-@needs("service")
-def worker(home: Home = None) -> None:
-    """Run one more worker on this machine."""
-    _run("worker", home=home)
 
 
 @needs("service")

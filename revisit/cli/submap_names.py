@@ -17,6 +17,14 @@ def full_name(map_id: str, written: str) -> str:
     return f"maps/{map_id}/sessions/{parts[0]}/submaps/{parts[1]}"
 
 
+def map_or_session(written: str) -> str:
+    """The resource name of MAP or MAP/SESSION; of a resource name, itself."""
+    if written.startswith("maps/"):
+        return written
+    map_id, _, session_id = written.partition("/")
+    return f"maps/{map_id}/sessions/{session_id}" if session_id else f"maps/{map_id}"
+
+
 def short_name(name: str) -> str:
     """SESSION/SUBMAP of a resource name; of the name of a session, SESSION."""
     return "/".join(name.split("/")[3::2])

@@ -66,15 +66,22 @@ def test_an_unknown_operation_cannot_be_queued_again(client):
 def test_the_command_line_lists_the_failed_and_queues_them_again(service, failed):
     service.working.clear()
     runner = CliRunner()
-    listed = runner.invoke(app, ["operations", "list", "--http", service.http, "--json"])
+    listed = runner.invoke(app, ["operations", "--http", service.http, "--json"])
     found = {operation["name"]: operation for operation in json.loads(listed.output)}
     assert found[failed.name]["failure_reason"] == "DEGENERATE_CLOUD"
     operation_id = failed.name.partition("/")[2]
-    again = runner.invoke(app, ["operations", "retry", operation_id, "--http", service.http, "--json"])
+    again = runner.invoke(app, ["operations", "--retry", operation_id, "--http", service.http, "--json"])
     assert [operation["state"] for operation in json.loads(again.output)] == ["QUEUED"]
     service.working.set()
-    for refused in (["operations", "retry"], ["operations", "retry", "--all", "op-1"]):
-        assert runner.invoke(app, [*refused, "--http", service.http]).exit_code == 1
+    for refused in (
+        ["--retry"],
+        ["--retry", "--all", "op-1"],
+        ["op-1"],
+        ["--all"],
+        ["--cancel"],
+        ["--retry", "--cancel", "op-1"],
+    ):
+        assert runner.invoke(app, ["operations", *refused, "--http", service.http]).exit_code == 1
 
 
 async def test_a_description_that_was_queued_again_succeeds_once_the_method_is_mended(world):

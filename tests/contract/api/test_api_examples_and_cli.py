@@ -240,15 +240,15 @@ def test_help_does_not_load_the_libraries_of_the_method():
 def test_a_map_is_optimised_looked_at_and_brought_back_by_typing(service):
     made = fleet_in(service.world, "typed", 0.3, sessions=2, submaps=20, per_pair=8)
     at = ("--map", made.map_id, "--http", service.http)
-    assert "not in the map yet" in invoke("map", "status", *at)
+    assert "not in the map yet" in invoke("maps", made.map_id, *at[2:])
     first = json.loads(invoke("map", "optimise", *at, "--json"))
     assert (first["version"], first["summary"]["loops_in_map"]) == (1, len(made.right()))
     assert "1 *" in invoke("map", "versions", *at)
-    shown = invoke("map", "status", *at)
+    shown = invoke("maps", made.map_id, *at[2:])
     assert "version 1" in shown and f"{len(made.right())} in the map" in shown
-    assert json.loads(invoke("map", "status", *at, "--json"))["map_version"] == 1
+    assert json.loads(invoke("maps", made.map_id, *at[2:], "--json"))["map_version"] == 1
     invoke("map", "optimise", *at)
-    assert "version 1" in invoke("map", "revert", "1", *at)
+    assert "version 1" in invoke("map", "versions", "--revert", "1", *at)
     assert [one["in_force"] for one in json.loads(invoke("map", "versions", *at, "--json"))] == [False, False, True]
 
 
@@ -273,9 +273,11 @@ def test_a_map_is_merged_into_another_looked_at_and_taken_out_again_by_typing(se
     assert done["verdict"] == "MERGED" and picture.stat().st_size > 10_000
     held = ("--map", made.map_id, *at)
     assert "maps/typed-two" in invoke("map", "merges", *held)
-    assert "VANISHED" in invoke("map", "changes", *held)
-    assert json.loads(invoke("map", "unmerge", *held, "--json"))["reverted_at_ns"] > 0
-    assert "nothing was merged" in CliRunner().invoke(app, ["map", "changes", *held]).output
+    assert "VANISHED" in invoke("map", "merges", "--changes", *held)
+    assert json.loads(invoke("map", "merges", "--undo", *held, "--json"))["reverted_at_ns"] > 0
+    both = CliRunner().invoke(app, ["map", "merges", "--changes", "--undo", *held])
+    assert both.exit_code == 1 and "either --changes or --undo" in both.output
+    assert "nothing was merged" in CliRunner().invoke(app, ["map", "merges", "--changes", *held]).output
     far = CliRunner().invoke(app, ["merge", "typed-one", "typed-two", "--near", "900,0,0,0", "--radius", "5", *at])
     assert far.exit_code == 1 and "TOO_FEW_LOOPS" in far.output
 

@@ -73,7 +73,7 @@ def test_publishing_again_gives_the_same_file_and_another_version_another_one(cl
     assert second["map_file"] == f"{driven}/files/2" and second["map_hash"] != published.map_hash
 
 
-def test_the_command_map_diff_tells_what_changed_between_two_versions(client, driven, published, tmp_path):
+def test_the_command_map_check_tells_what_changed_between_two_versions(client, driven, published, tmp_path):
     files = tmp_path / "first.rvmap", tmp_path / "second.rvmap"
     client.download_map_file(published, files[0])
     client.wait(client.post_submap(f"{driven}/sessions/monday", "s4", cloud_points(4), pose(20.0), 4))
@@ -82,14 +82,18 @@ def test_the_command_map_diff_tells_what_changed_between_two_versions(client, dr
     second = client.wait(client.publish_map(driven)).result["map_file"]
     client.download_map_file(client.get_map_file(second), files[1])
     names = [str(file) for file in files]
-    told = json.loads(CliRunner().invoke(app, ["map", "diff", *names, "--json"]).stdout)
+    told = json.loads(CliRunner().invoke(app, ["map", "check", names[1], "--since", names[0], "--json"]).stdout)[
+        "changes"
+    ]
     submaps = f"{driven}/sessions/monday/submaps"
     assert (told["added"], told["removed"], told["other_frame"]) == ([f"{submaps}/s4"], [f"{submaps}/s1"], [])
     assert sorted(told["moved_m"]) == [f"{submaps}/s2", f"{submaps}/s3"]
     assert told["bytes_known"] > 0 and told["bytes_new"] > 0
-    shown = CliRunner().invoke(app, ["map", "diff", *names])
+    shown = CliRunner().invoke(app, ["map", "check", names[1], "--since", names[0]])
     assert shown.exit_code == 0 and re.search(r"submaps added\D+1\b", shown.output)
-    same = json.loads(CliRunner().invoke(app, ["map", "diff", names[0], names[0], "--json"]).stdout)
+    same = json.loads(CliRunner().invoke(app, ["map", "check", names[0], "--since", names[0], "--json"]).stdout)[
+        "changes"
+    ]
     assert (same["added"], same["removed"], same["bytes_new"]) == ([], [], 0) and set(same["moved_m"].values()) == {0.0}
 
 

@@ -129,8 +129,9 @@ def test_the_command_line_lists_downloads_and_measures(service, client, tiled, t
     tile_id = tile_at(client, tiled, 0).name.rpartition("/")[2]
     listed = CliRunner().invoke(app, ["map", "tiles", *of_map, "--json"])
     assert tile_id in listed.stdout and listed.exit_code == 0
-    assert CliRunner().invoke(app, ["map", "tile", tile_id, "--out", str(out), *of_map]).exit_code == 0
+    assert CliRunner().invoke(app, ["map", "tiles", tile_id, "--out", str(out), *of_map]).exit_code == 0
     assert out.read_bytes() == client.download_tile(f"{tiled}/tiles/{tile_id}")
+    assert CliRunner().invoke(app, ["map", "tiles", tile_id, *of_map]).exit_code == 1  # nowhere to write it
     measured = CliRunner().invoke(app, ["map", "distance", "10,10,0.4", "10,10,9", *of_map, "--json"])
     told = json.loads(measured.stdout)
     assert [one["distance_m"] for one in told["distances"]] == [0.4, None]

@@ -34,15 +34,15 @@ def town(service, request):
 
 def test_maps_and_sessions_are_listed_and_deleted(service, town):
     at = ("--http", service.http)
-    assert town in invoke("map", "list", *at)
-    assert town in {one["name"].partition("/")[2] for one in json.loads(invoke("map", "list", *at, "--json"))}
-    shown = invoke("session", "list", "--map", town, *at)
+    assert town in invoke("maps", *at)
+    assert town in {one["name"].partition("/")[2] for one in json.loads(invoke("maps", *at, "--json"))}
+    shown = invoke("sessions", "--map", town, *at)
     assert "monday" in shown and "tuesday" in shown
-    invoke("session", "delete", "monday", "--map", town, *at, answer="n\n", status=1)
-    invoke("session", "delete", "monday", "--map", town, *at, answer="y\n")
-    names = [one["name"] for one in json.loads(invoke("session", "list", "--map", town, *at, "--json"))]
+    invoke("delete", f"{town}/monday", *at, answer="n\n", status=1)
+    invoke("delete", f"{town}/monday", *at, answer="y\n")
+    names = [one["name"] for one in json.loads(invoke("sessions", "--map", town, *at, "--json"))]
     assert names == [f"maps/{town}/sessions/tuesday"]
-    invoke("map", "delete", town, *at, "--yes")
+    invoke("delete", town, *at, "--yes")
     with Client(service.http) as client, pytest.raises(NotFound):
         client.get_map(town)
 
@@ -52,6 +52,7 @@ def test_a_loop_is_rejected_taken_back_and_accepted_by_its_id(service, town):
     (loop,) = json.loads(invoke("loops", *at, "--json"))
     short = loop["name"].rpartition("/")[2]
     assert short in invoke("loops", *at)
+    assert CliRunner().invoke(app, ["loop", "praise", short, *at]).exit_code == 1
     assert "REJECTED" in invoke("loop", "reject", short, *at, "--note", "two halls that look alike")
     assert json.loads(invoke("loops", *at, "--json")) == []
     assert json.loads(invoke("loop", "revert", short, *at, "--json"))["state"] == "ACCEPTED"

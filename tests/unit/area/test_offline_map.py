@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import hashlib
+import json
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
 from revisit.area import AreaMap
+from revisit.cli.app import app
 from revisit.core.config import PipelineConfig
 from revisit.core.errors import DescriptorModelMismatch
 from revisit.core.geometry import se3
@@ -57,6 +60,15 @@ def test_a_cloud_is_found_in_the_map_where_it_was_taken(area_file):
     error = se3.inverse(T_MAP_SUBMAP[1] @ T_submap_query) @ found.in_map.T_map
     assert np.linalg.norm(error[:3, 3]) < 0.1 and se3.rotation_angle(error) < np.radians(0.5)
     assert (found.in_map.frame, found.in_map.map_version) == ("frame-1", 5)
+
+
+def test_a_cloud_is_found_in_a_map_file_by_typing(area_file, tmp_path):
+    np.save(tmp_path / "cloud.npy", cloud(1))
+    query = ["query", str(tmp_path / "cloud.npy"), "--file", str(area_file)]
+    found = json.loads(CliRunner().invoke(app, [*query, "--json"]).stdout)
+    assert found["best"]["submap"] == "maps/yard/sessions/s1/submaps/0"
+    assert "in frame-1 (score" in CliRunner().invoke(app, query).stdout
+    assert CliRunner().invoke(app, [*query, "--storey", "1"]).exit_code == 1
 
 
 def test_a_cloud_that_fits_at_two_spots_of_a_drive_is_not_placed(area_file, tmp_path):
