@@ -3,26 +3,26 @@
 The modules in the order of the paper:
 
     scan, submap            posed scans over the travelled distance tau_n          III-A
-    scan_disagreement       what the scans of a submap disagree on                 decision 0081
+    scan_disagreement       how far the scans of a submap disagree                 beyond the paper
     implicit_map            elastic neural points and their decoder                III-B, Eq. 1-6
     surface                 mesh, normals and occupancy out of the field           III-C
     clusters                ground removal and fast Euclidean clustering           III-C
     bev                     cluster-guided BEV image, Log-Gabor, keypoints         III-D, III-E, Eq. 7-9
     micro                   saliency and angular histograms of the clusters        III-C, III-E, Eq. 10-12
-    spectra                 spectra of faces and plan                              decision 0017
+    spectra                 spectra of faces and plan                              beyond the paper
     descriptor              aggregation and fusion                                 III-D, III-E, Eq. 13-15
-    index, candidates       nearest descriptors, and which may be loop closures    III-E, Eq. 15; IV-B
+    index                   nearest descriptors                                    III-E, Eq. 15
     place                   what is kept of a submap for verification              III-E
-    correspondences         keypoints of two places that look alike                III-E
-    verification            start, registration, evidence, verdict                 III-E
-    acceptance              the claims of a drive judged together                  beyond the paper
+    verification            start, registration, evidence, verdict of a pair       III-E
+    acceptance              which pairs are sought, and which are loops            IV-B, beyond the paper
     pose_graph              consistent loops, robust optimisation                  beyond the paper
-    merge                   one map out of several                                 beyond the paper
-    pipeline                the steps above, in order
+    merge                   one map out of several, changes, tiles                 beyond the paper
+    pipeline                describe a submap, verify a pair: the stages in order
 
-Beside them: geometry (transforms, level frame, voxel keys), kernels (compiled inner loops), config (all parameters),
-container (stored numbers), stages (their names and times), model_bundle (decoder and codebooks), sanity
-(whether the input can be what it claims), upright (the vertical of a cloud without gravity), errors.
+Beside them: geometry (transforms, frames, voxel keys, the vertical of a cloud), kernels (compiled inner loops), device
+(where they run), codec (stored bytes), config (all parameters), profiles (the paper's form), model_bundle (decoder and
+codebooks), sanity (whether the input can be what it claims), pair_verdict (types of verdicts), stages (their names and
+times), errors.
 
 Nothing here knows a network, a database, a clock or a file.
 """

@@ -130,7 +130,3 @@ class FormerForm(DataLoss):
     def __init__(self, noun: str, mended_by: str) -> None:
         """`noun` names what is stored, `mended_by` completes the sentence by the way to mend it."""
         super().__init__(f"the {noun} is of a form that this version no longer reads: {mended_by}")
-
-
-DESCRIBED_AGAIN = "`revisit reembed MAP` describes the submaps of its map again"
-"""How former forms of what is made of scans are mended."""

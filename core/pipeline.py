@@ -1,4 +1,8 @@
-"""The method, one stage a line (paper Fig. 2, left to right): describe a submap, recall candidates, verify a loop."""
+"""The method, one stage a line (paper Fig. 2, left to right): describe a submap, verify a loop.
+
+Between the two a `core.index` recalls candidates (Eq. 15); after them `acceptance.accept` judges the pairs of a drive
+together, `pose_graph.optimise` places its submaps, and `merge` joins maps: each is called by itself, where its data is.
+"""
 
 from __future__ import annotations
 
@@ -6,11 +10,9 @@ import dataclasses
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from revisit.core import verification
 from revisit.core.bev import BevFeatures, describe_bev
-from revisit.core.candidates import CandidatePolicy
 from revisit.core.clusters import Clusters, segment_clusters
 from revisit.core.config import PipelineConfig, VerificationConfig
 from revisit.core.descriptor.fusion import PlaceDescriptor, PlaceFeatures, fuse
@@ -18,12 +20,12 @@ from revisit.core.errors import DegenerateCloud
 from revisit.core.geometry.level_frame import LevelFrame
 from revisit.core.geometry.se3 import Matrix4
 from revisit.core.implicit_map import NeuralMap, fit_implicit_map
-from revisit.core.index import Match, PlaceIndex, SearchFilter
 from revisit.core.kernels.plane_votes import plane_scores
 from revisit.core.micro.cluster_normals import describe_clusters
 from revisit.core.micro.saliency import weigh_clusters
 from revisit.core.model_bundle import ModelBundle
-from revisit.core.place import Place, extract_place
+from revisit.core.place import Place
+from revisit.core.place.extraction import extract_place
 from revisit.core.sanity.ground import place_flags
 from revisit.core.scan import is_plane
 from revisit.core.scan_disagreement import ScanDisagreement, scan_disagreement
@@ -128,12 +130,6 @@ def describe_surface(
         raise DegenerateCloud("nothing in the submap's bird's-eye view tells it from other places", field="points")
     place = extract_place(surface, clusters, bev, models.codebooks, config.verification)
     return DescribedSurface(descriptor, dataclasses.replace(place, frame=frame), surface, clusters, bev, frame)
-
-
-def recall(vector: NDArray[np.float32], index: PlaceIndex, policy: CandidatePolicy) -> list[Match]:
-    """The places in `index` most like the descriptor `vector` (d,) that may be loop closures, best first."""
-    far_enough = SearchFilter(of_session=policy.session, without=policy.too_near)
-    return index.search(vector, policy.count, far_enough)  # Eq. 15
 
 
 def verify(

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from revisit.core.candidates import are_revisits
+from revisit.core.acceptance.revisits import are_revisits
 from revisit.core.config import LoopConfig
 from revisit.evaluation.metrics import Flags, Floats, LoopProtocol, positive_pairs
 

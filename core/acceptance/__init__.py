@@ -1,6 +1,7 @@
 """Acceptance: candidate pairs become loops by judging the claims of a drive together (beyond the paper).
 
 claim               a candidate pair: verdict of its pair, doubts, support
+revisits            which submaps of a drive may be loops
 prediction          accepted pairs predict the pose of further candidates
 alternatives        PERCEPTUAL_ALIAS, BETTER_ALTERNATIVE
 consistent_share    LOW_CONSISTENT_SHARE

@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from revisit.core.codec import neural_map as codec
+from revisit.core.codec.neural_points import Form, read_points, write_points
 from revisit.core.config import Field, ImplicitMapConfig
 from revisit.core.device import device
 from revisit.core.device.description import FieldRules, Planes
 from revisit.core.errors import BadField, BadTransform, DataLoss, DescriptorModelMismatch
 from revisit.core.geometry.level_frame import LevelFrame
-from revisit.core.implicit_map import blob
-from revisit.core.implicit_map.coded import Form, read_points, write_points
 from revisit.core.implicit_map.decoder import DecoderWeights, decode
 from revisit.core.implicit_map.neighbourhood import Neighbourhood, find_neighbourhood
 from revisit.core.implicit_map.neural_points import NeuralPoints
@@ -76,13 +76,13 @@ class NeuralMap:
         header: dict[str, Any] = {
             "points": form.announced(), "field": [self.config.resolution, self.config.weight_power]
         }  # fmt: skip
-        sections = [blob.pack_moments(self.frame.similarity, self.stamps_ns), stream]
+        sections = [codec.pack_moments(self.frame.similarity, self.stamps_ns), stream]
         if self.decoder is not None:
             header["decoder"] = self.decoder.digest
         if self.adapted and self.decoder is not None:
             header["layers"] = [list(matrix.shape) for matrix in self.decoder.matrices]
             sections.append(self.decoder.to_bytes())
-        return blob.pack(header, sections)
+        return codec.pack(header, sections)
 
     @classmethod
     def from_blob(cls, data: bytes, decoder: DecoderWeights, config: ImplicitMapConfig) -> NeuralMap:
@@ -155,8 +155,8 @@ class NeuralMap:
 
 
 def _read(data: bytes, decoder: DecoderWeights, config: ImplicitMapConfig) -> NeuralMap:
-    header, (seen, stream, *rest) = blob.unpack(data)
-    similarity, differences = blob.unpack_moments(seen)
+    header, (seen, stream, *rest) = codec.unpack(data)
+    similarity, differences = codec.unpack_moments(seen)
     form = Form.of_header(header)
     codes, features = read_points(form, stream)
     resolution, power = map(float, header["field"])

@@ -6,13 +6,12 @@ Fitting works on this geometry already (`settle`), so that storing a map loses n
 from __future__ import annotations
 
 import dataclasses
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from revisit.core.codec.neural_points import PlaneCodes, distinct_rows
 from revisit.core.geometry import octahedral
-from revisit.core.geometry.voxel_keys import first_rows, voxel_keys
 from revisit.core.implicit_map.neural_points import NeuralPoints
 from revisit.core.kernels.plane_guesses import FIXED, HIT_CLASSES
 from revisit.core.kernels.settled_planes import spots_on_planes
@@ -25,19 +24,6 @@ OFFSET_UNIT = 48
 
 STORED_NORMAL_UNIT = 2
 """Steps of a normal by which it is stored: where none is learned on top, twelve degrees are as good as six."""
-
-
-@dataclass(frozen=True)
-class PlaneCodes:
-    """Whole numbers of n neural points: voxels (n, 3) int32; planes (n, 4) int32, octahedral normal (2), offset of the
-    tangent plane from the voxel's centre, and class of hits.
-    """
-
-    voxels: NDArray[np.int32]
-    planes: NDArray[np.int32]
-
-    def __getitem__(self, rows: NDArray[np.int64]) -> PlaneCodes:
-        return PlaneCodes(self.voxels[rows], self.planes[rows])
 
 
 def settle(points: NeuralPoints, resolution: float) -> NeuralPoints:
@@ -56,11 +42,6 @@ def settled_rows(points: NeuralPoints, resolution: float) -> tuple[NeuralPoints,
         codes, points = codes[rows], points.subset(rows)
     positions, normals = geometry(codes, resolution)
     return dataclasses.replace(points, positions=positions, normals=normals), rows
-
-
-def distinct_rows(voxels: NDArray[np.int32]) -> NDArray[np.int64]:
-    """The first row of each of `voxels` (n, 3), ascending."""
-    return np.sort(first_rows(voxel_keys(voxels)))
 
 
 def plane_codes(points: NeuralPoints, resolution: float) -> PlaneCodes:

@@ -1,6 +1,6 @@
 """Keypoints as a stream of bits: where they lie, how they are turned, and their descriptors, guessed from those nearby.
 
-Patches of two keypoints a few metres apart, turned alike, show much the same. `core.plain_keypoints` reads the same
+Patches of two keypoints a few metres apart, turned alike, show much the same. `codec.plain_keypoints` reads the same
 stream without compiled code.
 """
 

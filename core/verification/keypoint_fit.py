@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from revisit.core.config import VerificationConfig
-from revisit.core.correspondences import Correspondences
 from revisit.core.geometry.se2 import PlanarPose, least_squares_pose
 from revisit.core.kernels.planar_refinement import refine_planar_pose
 from revisit.core.kernels.two_point_vote import best_two_point_pose
+from revisit.core.place.correspondences import Correspondences
 
 _REFINEMENTS = 3
 

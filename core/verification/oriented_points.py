@@ -12,11 +12,11 @@ from scipy.spatial import cKDTree
 
 from revisit.core.config import VerificationConfig
 from revisit.core.geometry import se3
-from revisit.core.kept import Keeping
 from revisit.core.kernels.patches import Patches, patches_of
 from revisit.core.kernels.seen_columns import SeenColumns, seen_columns
 from revisit.core.kernels.surface_contact import contact_sums, shared_counts, touching_rows
 from revisit.core.place import Place
+from revisit.core.place.kept import Keeping
 
 Array64 = NDArray[np.float64]
 

@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 from scipy import fft
 
 from revisit.core.config import VerificationConfig
-from revisit.core.correspondences import correspond
 from revisit.core.geometry import se3
 from revisit.core.geometry.se2 import PlanarPose
 from revisit.core.kernels.plan_images import plan_density
 from revisit.core.kernels.seen_columns import heights_above
 from revisit.core.place import Place
+from revisit.core.place.correspondences import correspond
 from revisit.core.verification.keypoint_fit import KeypointFit, fit_of_pose, fit_planar_pose
 from revisit.core.verification.oriented_points import COLUMN_M, OrientedPoints
 from revisit.core.verification.phase_correlation import Agreement, agreements

@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 
 from lab.training.corpus import training_drive
 from lab.training.place_chances import keep
+from revisit.core.codec.neural_chances import CHANCE_STEP, LEARNED, fresh_mixtures
+from revisit.core.codec.neural_points import PlaneCodes, write_points
 from revisit.core.config import PipelineConfig, SubmapConfig
 from revisit.core.implicit_map import fit_implicit_map
-from revisit.core.implicit_map.coded import write_points
-from revisit.core.implicit_map.map_chances import CHANCE_STEP, LEARNED, fresh_mixtures
-from revisit.core.implicit_map.settled import NORMAL_STEPS, OFFSET_UNIT, STORED_NORMAL_UNIT, PlaneCodes, plane_codes
+from revisit.core.implicit_map.settled import NORMAL_STEPS, OFFSET_UNIT, STORED_NORMAL_UNIT, plane_codes
 from revisit.core.model_bundle import load_packaged_models
 from revisit.core.scan import Scan
 from revisit.core.submap import Submap
@@ -68,7 +68,7 @@ def _codes_of(scans: list[Scan], config: SubmapConfig) -> PlaneCodes:
 
 
 def learned(maps: Iterable[PlaneCodes]) -> dict[str, NDArray[np.integer]]:
-    """What the models know after `maps`, as `core.implicit_map.map_chances` reads it."""
+    """What the models know after `maps`, as `core.codec.neural_chances` reads it."""
     mixtures = fresh_mixtures()
     for codes in maps:
         nothing = np.zeros((len(codes.voxels), 0), np.int32)

@@ -11,15 +11,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lab.training.corpus import training_places
-from revisit.core import place_keypoints, place_surface
+from revisit.core.codec import place_keypoints, place_surface
+from revisit.core.codec.place import coded_form
+from revisit.core.codec.place_surface import MODELS, coded, kinds, rounded
 from revisit.core.config import PipelineConfig
 from revisit.core.kernels.keypoint_models import KEYPOINT_MODELS
 from revisit.core.kernels.range_coder import Models, fresh_models
 from revisit.core.model_bundle import load_packaged_models
 from revisit.core.pipeline import describe
 from revisit.core.place import Place
-from revisit.core.place_form import coded_form
-from revisit.core.place_surface import MODELS, coded, kinds, rounded
 
 Counts = NDArray[np.float64]
 
@@ -56,7 +56,7 @@ def keep(file: Path, learned: Mapping[str, NDArray[np.integer]]) -> None:
 
 
 def learned_chances(places: Iterable[Place], spacing: float) -> dict[str, NDArray[np.unsignedinteger]]:
-    """Chance and how often it was seen, of each model and kind of surface, as `core.place_surface` reads them."""
+    """Chance and how often it was seen, of each model and kind of surface, as `core.codec.place_surface` reads them."""
     ones = {kind: np.zeros(MODELS) for kind in kinds(spacing)}
     seen = {kind: np.zeros(MODELS) for kind in kinds(spacing)}
     for place in places:
@@ -79,7 +79,7 @@ def learned_chances(places: Iterable[Place], spacing: float) -> dict[str, NDArra
 
 
 def learned_keypoint_chances(places: Iterable[Place]) -> dict[str, NDArray[np.unsignedinteger]]:
-    """Chance and how often it was seen, of each model of keypoints, as `core.place_keypoints` reads them."""
+    """Chance and how often it was seen, of each model of keypoints, as `core.codec.place_keypoints` reads them."""
     ones, seen = np.zeros(KEYPOINT_MODELS), np.zeros(KEYPOINT_MODELS)
     for place in places:
         if len(place.keypoints):

@@ -18,7 +18,8 @@ from revisit.core.clusters import segment_clusters
 from revisit.core.config import PipelineConfig
 from revisit.core.descriptor.vlad import Codebooks
 from revisit.core.geometry import se3
-from revisit.core.place import Place, extract_place
+from revisit.core.place import Place
+from revisit.core.place.extraction import extract_place
 from revisit.core.surface import Surface
 from revisit.core.verification import VerifiedLoop, verify
 

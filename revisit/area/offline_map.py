@@ -17,6 +17,7 @@ from revisit.core.config import PipelineConfig
 from revisit.core.errors import DescriptorModelMismatch
 from revisit.core.geometry import se3
 from revisit.core.geometry.se3 import Matrix4
+from revisit.core.geometry.upright import levelling
 from revisit.core.implicit_map import NeuralMap
 from revisit.core.index import FaissIndex, IndexEntry, Match, SearchFilter
 from revisit.core.model_bundle import ModelBundle, load_packaged_models
@@ -24,7 +25,6 @@ from revisit.core.pipeline import DescribedPlace, describe, describe_again, veri
 from revisit.core.place import Place
 from revisit.core.scan import Scan
 from revisit.core.submap import Submap
-from revisit.core.upright import levelling
 from revisit.formats.map_file import FiledSubmap, MapDescription, MapFile
 from revisit.sdk.resources import Candidate, Localization, MapPose, SearchHit
 

@@ -8,6 +8,7 @@ from functools import lru_cache
 
 import numpy as np
 
+from revisit.core.codec.mesh import Mesh
 from revisit.core.config import PipelineConfig
 from revisit.core.errors import DataLoss
 from revisit.core.geometry.se3 import Matrix4
@@ -25,7 +26,7 @@ from revisit.core.stages import stage_times
 from revisit.core.submap import Submap
 from revisit.core.surface import extract_surface
 from revisit.service.adapters.rehearsal import accompany, rehearse
-from revisit.service.application.contract.recogniser import Mesh, Redescription, SubmapDescription
+from revisit.service.application.contract.recogniser import Redescription, SubmapDescription
 from revisit.service.large_blocks import return_free_memory
 
 PLACES_READ = 96

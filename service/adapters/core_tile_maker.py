@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from revisit.core.codec.mesh import Mesh
+from revisit.core.codec.tile import FusedTile
 from revisit.service.application.contract.map_merger import PlacedSubmapMap
-from revisit.service.application.contract.map_tiles import FusedTile
-from revisit.service.application.contract.recogniser import Mesh
 
 if TYPE_CHECKING:
     from revisit.core.implicit_map import DecoderWeights, NeuralMap

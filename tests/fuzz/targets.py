@@ -11,16 +11,16 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
-from revisit.core import place_form
+from revisit.core.codec import neural_map as codec
+from revisit.core.codec import place as place_form
+from revisit.core.codec.mesh import unpack_mesh
 from revisit.core.errors import DataLoss, RevisitError
-from revisit.core.implicit_map import blob
 from revisit.core.place import Place
 from revisit.core.scan import validate_cloud
 from revisit.formats import MEDIA_TYPES, CloudLimits, PackedCloud, decode_cloud, decode_content
 from revisit.service.application.catalogue.paging import PageTokens
 from revisit.service.application.contract.identity import DEFAULT_TENANT
 from revisit.service.application.ingest.clouds import unpack_cloud
-from revisit.service.application.mapping.packed_meshes import unpack_mesh
 from revisit.service.rest.bodies import parse_json
 from revisit.service.rest.limits import HttpLimits
 from revisit.service.rest.schemas import CreateMapRequest, SearchRequest
@@ -96,8 +96,8 @@ TARGETS: dict[str, Target] = {
     "json map": refusing(lambda data: parse_json(data, CreateMapRequest, HttpLimits()), RevisitError),
     "json search": refusing(lambda data: parse_json(data, SearchRequest, HttpLimits()), RevisitError),
     "page token": refusing(lambda data: TOKENS.number_in(DEFAULT_TENANT, data.decode("latin-1")), RevisitError),
-    "neural map": refusing(blob.unpack, DataLoss),
-    "neural map behind its checksum": behind_checksum(blob.unpack, blob.CONTAINER.magic, DIGEST_BYTES),
+    "neural map": refusing(codec.unpack, DataLoss),
+    "neural map behind its checksum": behind_checksum(codec.unpack, codec.CONTAINER.magic, DIGEST_BYTES),
     "place": refusing(Place.from_blob, DataLoss),
     "place behind its checksum": behind_checksum(Place.from_blob, place_form.MAGIC, DIGEST_BYTES),
     "stored cloud": refusing(unpack_cloud, DataLoss),

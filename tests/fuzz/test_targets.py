@@ -12,13 +12,12 @@ import zstandard
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from revisit.core import place_form
+from revisit.core.codec import neural_map as codec
+from revisit.core.codec import place as place_form
+from revisit.core.codec.mesh import Mesh, pack_mesh
 from revisit.core.errors import DataLoss
-from revisit.core.implicit_map import blob
 from revisit.formats import MEDIA_TYPES, QUANTISED
-from revisit.service.application.contract.recogniser import Mesh
 from revisit.service.application.ingest.clouds import StoredCloud, pack_cloud
-from revisit.service.application.mapping.packed_meshes import pack_mesh
 from tests.fuzz.targets import DIGEST_BYTES, FILES, TARGETS, refusing
 from tests.support.campaigns import Campaign
 from tests.support.cloud_files import records, valid_files
@@ -35,7 +34,7 @@ def seeds() -> dict[str, list[bytes]]:
         by_type[media_type].append(data)
     triangle = Mesh(values[:3, :3], np.tile(np.float32([0, 0, 1]), (3, 1)), np.array([[0, 1, 2]], dtype=np.int32))
     stored = a_place(values[:8, :2]).to_blob()
-    neural_map = blob.pack({"count": 0}, [b"abc", b""])
+    neural_map = codec.pack({"count": 0}, [b"abc", b""])
     return {
         **by_type,
         "gzip": [gzip.compress(values.tobytes(), mtime=0)],
@@ -45,7 +44,7 @@ def seeds() -> dict[str, list[bytes]]:
         "json search": [b'{"descriptor": [1.0, 2e3], "model_version": "m", "k": 3, "prior_position_m": [0, 1, 2]}'],
         "page token": [b"YWZ0ZXI6MTI="],
         "neural map": [neural_map],
-        "neural map behind its checksum": [neural_map[len(blob.CONTAINER.magic) : -DIGEST_BYTES]],
+        "neural map behind its checksum": [neural_map[len(codec.CONTAINER.magic) : -DIGEST_BYTES]],
         "place": [stored],
         "place behind its checksum": [stored[len(place_form.MAGIC) : -DIGEST_BYTES]],
         "stored cloud": [pack_cloud(StoredCloud(values[:, :3], values[:, 3])), *by_type[QUANTISED]],

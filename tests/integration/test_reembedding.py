@@ -11,8 +11,8 @@ import pytest
 from typer.testing import CliRunner
 
 from revisit.cli.app import app
+from revisit.core.codec import neural_map as codec
 from revisit.core.errors import DegenerateCloud
-from revisit.core.implicit_map import blob
 from revisit.core.index import FaissIndex
 from revisit.service.adapters.files.file_drafts import FileDrafts
 from revisit.service.adapters.vector_index import PlaceVectorIndex
@@ -135,7 +135,7 @@ async def test_neural_maps_of_a_former_form_are_made_anew_from_the_scans_of_a_na
 
     class Today(FakeRecogniser):
         def describe_again(self, neural_map, place, config):
-            return super().describe_again(blob.unpack(neural_map), place, config)
+            return super().describe_again(codec.unpack(neural_map), place, config)
 
     before = rows_of(world)
     world.context.transactions.write(put_back).result()

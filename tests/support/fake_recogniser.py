@@ -19,13 +19,14 @@ from pathlib import Path
 
 import numpy as np
 
+from revisit.core.codec.mesh import Mesh
 from revisit.core.config import PipelineConfig
 from revisit.core.errors import DataLoss, DegenerateCloud
 from revisit.core.geometry import se3
 from revisit.core.scan import Scan
 from revisit.core.submap import Submap
 from revisit.core.verification import PairVerdict
-from revisit.service.application.contract.recogniser import Mesh, Redescription, SubmapDescription
+from revisit.service.application.contract.recogniser import Redescription, SubmapDescription
 from tests.support.verdicts import rejected, verified
 
 KILLS_THE_WORKER = 666

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from revisit.service.application.contract.map_tiles import FusedTile
-from revisit.service.application.contract.recogniser import Mesh
+from revisit.core.codec.mesh import Mesh
+from revisit.core.codec.tile import FusedTile
 
 HALF_M = 25.6
 UP = np.tile(np.float32([0.0, 0.0, 1.0]), (4, 1))

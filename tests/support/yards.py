@@ -15,7 +15,8 @@ from revisit.core.geometry import se3
 from revisit.core.micro.cluster_normals import describe_clusters
 from revisit.core.micro.saliency import weigh_clusters
 from revisit.core.model_bundle import load_packaged_models
-from revisit.core.place import Place, extract_place
+from revisit.core.place import Place
+from revisit.core.place.extraction import extract_place
 from revisit.core.spectra import describe_spectra
 from revisit.core.surface import Surface
 

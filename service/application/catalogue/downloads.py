@@ -11,6 +11,7 @@ from enum import StrEnum
 
 import numpy as np
 
+from revisit.core.codec.mesh import Mesh
 from revisit.core.errors import UnsupportedEncoding
 from revisit.formats import NPY, PCD, PLY, encode_npy, encode_pcd, encode_ply, encode_ply_mesh
 from revisit.formats.glb import MEDIA_TYPE as GLB
@@ -19,7 +20,6 @@ from revisit.service.application.capacity.in_flight import POINTS_PER_S, InFligh
 from revisit.service.application.contract.blobs import CLOUD_BLOB, NEURAL_MAP_BLOB, BlobStore
 from revisit.service.application.contract.errors import NotFound, NotReady
 from revisit.service.application.contract.identity import TenantId
-from revisit.service.application.contract.recogniser import Mesh
 from revisit.service.application.contract.records import SubmapRecord
 from revisit.service.application.contract.states import SubmapState
 from revisit.service.application.contract.storage import require_descriptor

@@ -16,7 +16,7 @@ NEURAL_MAP_BLOB = "neural-map"
 MESH_BLOB = "mesh"
 """A file of a mesh on its way from the worker that made it to whoever asked, who deletes it: no row names it."""
 TILE_BLOB = "map-tile"
-"""The fused surface of a tile of a map (see `mapping.tile_blob`)."""
+"""The fused surface of a tile of a map (see `core.codec.tile`)."""
 MAP_LAYOUT_BLOB = "map-layout"
 """What the bytes of a map file are (see `mapping.map_layout`)."""
 

@@ -10,11 +10,11 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from revisit.core.codec.tile import FusedTile
 from revisit.core.errors import BadField
 from revisit.core.geometry.tile_grid import Cell
 from revisit.service.application.contract.identity import TenantId
 from revisit.service.application.contract.map_merger import PlacedSubmapMap
-from revisit.service.application.contract.recogniser import Mesh
 from revisit.service.application.contract.transactions import UnitOfWork
 
 _TILE_ID = re.compile(r"(frame-[0-9]{1,19})\.(-?[0-9]{1,9})\.(-?[0-9]{1,9})", re.ASCII)
@@ -46,15 +46,6 @@ class TileKey:
     def name(self) -> str:
         """Its resource name."""
         return f"maps/{self.map_id}/versions/{self.version}/tiles/{self.tile_id}"
-
-
-@dataclass(frozen=True)
-class FusedTile:
-    """The surface of a tile: its neural map, a mesh, and points (a mesh without faces), metres from its middle."""
-
-    neural_map: bytes
-    mesh: Mesh
-    points: Mesh
 
 
 class TileMaker(Protocol):

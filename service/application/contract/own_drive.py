@@ -1,10 +1,10 @@
-"""The drive of a submap, as far as it decides which of its submaps may be loops with it (core.candidates)."""
+"""The drive of a submap, as far as it decides which of its submaps may be loops (`core.acceptance.revisits`)."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from revisit.core.candidates import CandidatePolicy, candidate_policy, way_read_m
+from revisit.core.acceptance.revisits import CandidatePolicy, candidate_policy, way_read_m
 from revisit.core.config import LoopConfig
 from revisit.core.geometry.path import travelled_m
 from revisit.service.application.contract.records import SubmapRecord

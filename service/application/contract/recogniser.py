@@ -9,20 +9,12 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from revisit.core.codec.mesh import Mesh
 from revisit.core.config import PipelineConfig
 from revisit.core.geometry.se3 import Matrix4
 from revisit.core.pair_verdict import PairVerdict
 from revisit.core.scan import Scan
 from revisit.core.submap import Submap
-
-
-@dataclass(frozen=True)
-class Mesh:
-    """Triangles: vertices (v, 3) float32 metres in the submap frame, unit normals (v, 3), faces (f, 3) int32."""
-
-    vertices: NDArray[np.float32]
-    normals: NDArray[np.float32]
-    faces: NDArray[np.int32]
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ import numpy as np
 import zstandard
 from numpy.typing import NDArray
 
-from revisit.core.container import decompressed, from_byte_planes, to_byte_planes
+from revisit.core.codec.container import decompressed, from_byte_planes, to_byte_planes
 from revisit.core.errors import BadField, DataLoss, FormerForm, RevisitError, TooLarge
 from revisit.core.scan import CloudReport, Points, validate_cloud
 from revisit.formats import CloudLimits, DecodedCloud, decode_cloud, quantised

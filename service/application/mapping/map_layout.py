@@ -12,7 +12,7 @@ from typing import Any
 
 from typing_extensions import Buffer
 
-from revisit.core.container import Container
+from revisit.core.codec.container import Container
 from revisit.core.errors import DataLoss
 
 _CONTAINER = Container(b"RVML\x01", "stored layout of a map file", level=3, max_body_bytes=2**30)

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+from revisit.core.codec.tile import StoredTile
 from revisit.core.errors import UnsupportedEncoding
 from revisit.formats import encode_npy, encode_pcd, encode_ply, encode_ply_mesh
 from revisit.formats.glb import encode_scene
 from revisit.service.application.catalogue.downloads import MEDIA_TYPES, Download, DownloadKind
 from revisit.service.application.contract.map_tiles import TileKey
-from revisit.service.application.mapping.tile_blob import StoredTile
 
 FORMATS = {
     DownloadKind.MESH: ("ply", "glb"),

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from revisit.core.codec.tile import StoredTile, pack_tile
 from revisit.service.application.contract.blobs import NEURAL_MAP_BLOB, TILE_BLOB
 from revisit.service.application.contract.errors import NotFound, Unavailable
 from revisit.service.application.contract.identity import TenantId
@@ -18,7 +19,6 @@ from revisit.service.application.contract.job_queue import Lease
 from revisit.service.application.contract.map_tiles import TileKey, TileMaker, stored_tile
 from revisit.service.application.contract.records import MapTileRecord
 from revisit.service.application.contract.transactions import UnitOfWork
-from revisit.service.application.mapping.tile_blob import StoredTile, pack_tile
 from revisit.service.application.mapping.tile_plans import TilePlan, Tiling, read_plan, read_tiling
 from revisit.service.failpoints import failpoint
 

@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from revisit.core.config import VerificationConfig
-from revisit.core.correspondences import Correspondences, correspond
 from revisit.core.geometry import se3
 from revisit.core.geometry.se2 import PlanarPose
 from revisit.core.geometry.se3 import Matrix4
 from revisit.core.place import Place
+from revisit.core.place.correspondences import Correspondences, correspond
 from revisit.service.application.capacity.admission import Admission
 from revisit.service.application.capacity.in_flight import Turns
 from revisit.service.application.contract.blobs import PLACE_BLOB, BlobStore

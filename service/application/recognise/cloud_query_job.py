@@ -10,9 +10,9 @@ import numpy as np
 from revisit.core.acceptance import LoopClaim, Station, accept_cloud
 from revisit.core.config import PipelineConfig
 from revisit.core.geometry.se3 import pose_matrix
+from revisit.core.geometry.upright import levelling
 from revisit.core.scan import Scan
 from revisit.core.submap import Submap
-from revisit.core.upright import levelling
 from revisit.service.application.contract.blobs import QUERY_CLOUD_BLOB
 from revisit.service.application.contract.errors import NoAnswer
 from revisit.service.application.contract.index import VectorFilter

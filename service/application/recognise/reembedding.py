@@ -14,7 +14,7 @@ from typing import Protocol
 
 import numpy as np
 
-from revisit.core.container import Container
+from revisit.core.codec.container import Container
 from revisit.core.errors import DataLoss, RevisitError
 from revisit.service.application.catalogue.maps import model_for_map
 from revisit.service.application.contract.blobs import NEURAL_MAP_BLOB, PLACE_BLOB, BlobStore

@@ -8,10 +8,9 @@ import zlib
 import numpy as np
 import pytest
 
+from revisit.core.codec.neural_points import Form, PlaneCodes, read_points, write_points
 from revisit.core.errors import DataLoss
 from revisit.core.geometry import octahedral
-from revisit.core.implicit_map.coded import Form, read_points, write_points
-from revisit.core.implicit_map.settled import PlaneCodes
 from revisit.core.kernels import mixed_coder
 from revisit.core.kernels.range_coder import code_number, finish, fresh_models, start
 

@@ -8,7 +8,7 @@ import tracemalloc
 import numpy as np
 import pytest
 
-from revisit.core.container import Container
+from revisit.core.codec.container import Container
 from revisit.core.errors import DataLoss
 
 PLAIN = Container(b"TEST\x01", "test blob", level=3, max_body_bytes=1_000_000)

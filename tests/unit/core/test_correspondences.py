@@ -11,10 +11,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from revisit.core.config import VerificationConfig
-from revisit.core.correspondences import Correspondences, correspond
 from revisit.core.geometry.se2 import PlanarPose, angle_between
 from revisit.core.kernels.two_point_vote import SHORTEST_BASE, best_two_point_pose
 from revisit.core.place import Place
+from revisit.core.place.correspondences import Correspondences, correspond
 from revisit.core.verification.keypoint_fit import fit_planar_pose, plain_refined
 
 CONFIG = VerificationConfig()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pickle
 from dataclasses import dataclass
 
-from revisit.core.kept import Keeping
+from revisit.core.place.kept import Keeping
 
 
 @dataclass(frozen=True)

@@ -7,8 +7,8 @@ from itertools import product
 
 import numpy as np
 
+from revisit.core.codec.neural_chances import fresh_mixtures
 from revisit.core.geometry import octahedral
-from revisit.core.implicit_map.map_chances import fresh_mixtures
 from revisit.core.kernels import expected_normals, mixed_octree
 from revisit.core.kernels.expected_normals import EXPECTED, expect_normal, least_axis, octahedral_code
 from revisit.core.kernels.mixed_octree import code_mixed_octree

@@ -13,16 +13,16 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from revisit.core import place as place_module
+from revisit.core.codec.place import DIGEST_BYTES, MAGIC
+from revisit.core.codec.place_head import pack_head, unpack_head
+from revisit.core.codec.place_keypoints import read_keypoints, write_keypoints
+from revisit.core.codec.place_surface import CORNER, read_surface, settled_surface, write_surface
 from revisit.core.errors import DataLoss, FormerForm
 from revisit.core.geometry import se3
 from revisit.core.geometry.level_frame import LevelFrame
 from revisit.core.kernels.octree_coder import ranks_of
 from revisit.core.place import Place
-from revisit.core.place_form import DIGEST_BYTES, MAGIC
-from revisit.core.place_head import pack_head, unpack_head
-from revisit.core.place_keypoints import read_keypoints, write_keypoints
-from revisit.core.place_surface import CORNER, read_surface, settled_surface, write_surface
+from revisit.core.place import extraction as place_module
 from revisit.core.scan_disagreement import ScanDisagreement
 from tests.support.stored_place import STORED_PLACE
 from tests.support.yards import recognised, yard

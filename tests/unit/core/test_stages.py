@@ -1,15 +1,12 @@
-"""Stage times are measured for a caller that asks for them, and candidates follow one policy."""
+"""Stage times are measured for a caller that asks for them."""
 
 from __future__ import annotations
 
-import numpy as np
 import pytest
 
-from revisit.core.candidates import CandidatePolicy
 from revisit.core.config import PipelineConfig
-from revisit.core.index import ExactIndex, IndexEntry
 from revisit.core.model_bundle import load_packaged_models
-from revisit.core.pipeline import describe, recall
+from revisit.core.pipeline import describe
 from revisit.core.stages import stage, stage_times
 
 
@@ -49,13 +46,3 @@ def test_describing_a_place_names_every_stage_of_the_method(make_drive, shapes):
         describe(submap, load_packaged_models(), PipelineConfig())
     names = ["implicit_map", "surface", "clusters", "bev", "micro", "spectra", "fusion", "place"]
     assert list(times) == names
-
-
-def test_candidates_are_the_most_similar_places_but_the_neighbours_in_the_same_session():
-    index = ExactIndex(2)
-    entries = [IndexEntry(id=i, session=i // 10, ordinal=i % 10, position=np.zeros(3)) for i in range(20)]
-    angles = np.linspace(0.0, 0.5, 20)
-    index.add(entries, np.stack([np.cos(angles), np.sin(angles)], axis=1).astype(np.float32))
-    policy = CandidatePolicy(session=0, too_near=frozenset({2, 3, 4, 5, 6}), count=6)
-    found = [match.id for match in recall(np.array([1, 0], np.float32), index, policy)]
-    assert found == [0, 1, 7, 8, 9, 10]

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from revisit.core.geometry import se3
-from revisit.core.upright import estimate_up, surface_normals
+from revisit.core.geometry.upright import estimate_up, surface_normals
 from tests.support.real_data import needs_real_data, unpacked_drive
 
 RNG = np.random.default_rng(6)

@@ -7,9 +7,8 @@ from pathlib import Path
 import numpy as np
 
 from lab.training.map_chances import SURE, learned
-from revisit.core.implicit_map.coded import write_points
-from revisit.core.implicit_map.map_chances import fresh_mixtures, learned_mixtures
-from revisit.core.implicit_map.settled import PlaneCodes
+from revisit.core.codec.neural_chances import fresh_mixtures, learned_mixtures
+from revisit.core.codec.neural_points import PlaneCodes, write_points
 
 FILE = Path(__file__).resolve().parents[3] / "core/weights/neural-map-1.npz"
 

@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 
 from lab.training.place_chances import SURE, keep, learned_chances, learned_keypoint_chances
+from revisit.core.codec.place import coded_form
+from revisit.core.codec.place_keypoints import coded_keypoints
+from revisit.core.codec.place_surface import MODELS, coded, kinds, rounded
 from revisit.core.kernels.keypoint_models import KEYPOINT_MODELS
 from revisit.core.kernels.range_coder import fresh_models
-from revisit.core.place_form import coded_form
-from revisit.core.place_keypoints import coded_keypoints
-from revisit.core.place_surface import MODELS, coded, kinds, rounded
 from tests.support.yards import recognised, yard
 
 

@@ -9,8 +9,8 @@ import numpy as np
 import zstandard
 from numpy.typing import NDArray
 
-from revisit.core.container import Container, decompressed
-from revisit.core.errors import DESCRIBED_AGAIN, DataLoss, FormerForm
+from revisit.core.codec.container import Container, decompressed, refuse_former
+from revisit.core.errors import DataLoss
 
 CONTAINER = Container(b"RVNM\x04", "stored neural map", level=12, max_body_bytes=256_000_000, digest_bytes=16)
 FORMER_MAGICS = (b"RVNM\x01", b"RVNM\x02", b"RVNM\x03")
@@ -26,8 +26,7 @@ def pack(header: dict[str, Any], sections: list[bytes]) -> bytes:
 
 def unpack(blob: bytes) -> tuple[dict[str, Any], list[bytes]]:
     """Header and sections of a blob. Raises FormerForm, DataLoss for anything else that `pack` did not write."""
-    if blob.startswith(FORMER_MAGICS):
-        raise FormerForm(CONTAINER.noun, DESCRIBED_AGAIN)
+    refuse_former(blob, FORMER_MAGICS, CONTAINER.noun)
     header, body = CONTAINER.unpack(blob)
     try:
         ends = [0, *itertools.accumulate(header["sections"])]

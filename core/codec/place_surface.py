@@ -9,6 +9,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from revisit.core.codec.learned_chances import learned_chances
 from revisit.core.errors import DataLoss
 from revisit.core.geometry import octahedral
 from revisit.core.geometry.voxel_keys import first_rows, voxel_keys
@@ -17,7 +18,6 @@ from revisit.core.kernels.octree_coder import RANKS, THINNED_MODELS, Thinning, c
 from revisit.core.kernels.range_coder import Coder, Models, finish, position, start
 from revisit.core.kernels.voxel_families import families_of
 from revisit.core.kernels.voxel_table import rows_of, table_of
-from revisit.core.learned_chances import learned_chances
 
 Array = NDArray[np.float32]
 Whole = NDArray[np.int64]

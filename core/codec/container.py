@@ -12,7 +12,7 @@ import numpy as np
 import zstandard
 from numpy.typing import NDArray
 
-from revisit.core.errors import DataLoss
+from revisit.core.errors import DataLoss, FormerForm
 
 
 @dataclass(frozen=True)
@@ -63,6 +63,12 @@ class Container:
 
     def _digest(self, content: bytes) -> bytes:
         return hashlib.sha256(content).digest()[: self.digest_bytes]
+
+
+def refuse_former(blob: bytes, magics: tuple[bytes, ...], noun: str) -> None:
+    """Raises FormerForm for a blob that begins with one of `magics`, of what is made of scans and can be made anew."""
+    if blob.startswith(magics):
+        raise FormerForm(noun, "`revisit reembed MAP` describes the submaps of its map again")
 
 
 def decompressed(packed: bytes, max_bytes: int, noun: str) -> bytes:

@@ -1,35 +1,24 @@
-"""Place: what is kept of a submap for verification, in about eight kilobytes."""
+"""A place as it is kept and read: keypoints and surface of a submap, in about eight kilobytes."""
 
 from __future__ import annotations
 
 import hashlib
 from dataclasses import dataclass, field, fields
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+from revisit.core.codec.place import PlaceContents, read_form, write_form
+from revisit.core.codec.place_head import PlaceHead
 from revisit.core.config import VerificationConfig
-from revisit.core.descriptor.vlad import Codebooks, project_locally
 from revisit.core.geometry.level_frame import LevelFrame
-from revisit.core.geometry.voxel_keys import first_rows, voxel_keys
-from revisit.core.kept import Keeping
-from revisit.core.place_form import PlaceContents, read_form, settled_form, write_form
-from revisit.core.place_head import PlaceHead
+from revisit.core.place.kept import Keeping
 from revisit.core.scan_disagreement import ScanDisagreement
-from revisit.core.stages import stage
-
-if TYPE_CHECKING:  # a place is read where nothing is described, without the libraries that this needs
-    from revisit.core.bev import BevFeatures
-    from revisit.core.clusters import Clusters
-    from revisit.core.surface import Surface
 
 Array = NDArray[np.float32]
 
 CENTIMETRE = 0.01
-CUBE_CORNER = 0.125
-"""By how much of an edge the cubes begin before the origin that keep a surface point each: `place_surface.CORNER`."""
 
 
 @dataclass(frozen=True)
@@ -88,48 +77,6 @@ class Place(Keeping):
 
     def _contents(self) -> PlaceContents:
         return PlaceContents(**{field.name: getattr(self, field.name) for field in fields(PlaceContents)})
-
-
-@stage("place")
-def extract_place(
-    surface: Surface,
-    clusters: Clusters,
-    bev: BevFeatures,
-    codebooks: Codebooks,
-    config: VerificationConfig,
-) -> Place:
-    """The place of a submap: its keypoints, and a thinned, evenly spread copy of its surface."""
-    standing = _spread_rows(surface.vertices, ~clusters.ground, config.spacing, config.standing_points)
-    ground = _spread_rows(surface.vertices, clusters.ground, 2.0 * config.spacing, config.ground_points)
-    rows = np.concatenate([standing, ground])
-    contents = PlaceContents(
-        bev.keypoints, bev.orientations, project_locally(bev.descriptors, codebooks), codebooks.local_parity,
-        surface.vertices[rows], surface.normals[rows], len(standing),
-    )  # fmt: skip
-    stored = settled_form(contents, float(config.spacing))
-    return Place(**vars(stored), model=patch_model(codebooks), spacing=float(config.spacing))
-
-
-def patch_model(codebooks: Codebooks) -> str:
-    """A digest of the basis that keypoint descriptors are projected on: only those of one basis are comparable."""
-    return hashlib.sha256(np.ascontiguousarray(codebooks.local_basis).tobytes()).hexdigest()[:16]
-
-
-def _spread_rows(points: Array, chosen: NDArray[np.bool_], spacing: float, limit: int) -> NDArray[np.int64]:
-    """One row for each cube of edge `spacing` among the chosen points; where still too many, those of least rank.
-
-    Cubes of the least ranks are spread evenly, and of which rank one is need not be written (docs/decisions/0287).
-    """
-    from revisit.core.kernels.octree_coder import ranks_of  # the gateway reads keypoints without compiled code
-
-    x, y, z = np.abs(points).T
-    near = np.flatnonzero(chosen & (x < 300.0) & (y < 300.0) & (z < 300.0))
-    cubes = np.floor(points[near].T.astype(np.float64) / spacing + CUBE_CORNER).astype(np.int64).T
-    first = first_rows(voxel_keys(cubes))
-    spread = near[first]
-    if len(spread) <= limit:
-        return np.asarray(spread)
-    return np.asarray(spread[np.sort(np.argsort(ranks_of(cubes[first]), kind="stable")[:limit])])
 
 
 def _centimetres(positions: Array) -> NDArray[np.int16]:

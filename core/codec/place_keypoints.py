@@ -8,10 +8,10 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from revisit.core.codec.learned_chances import learned_chances
+from revisit.core.codec.plain_keypoints import PlainReader, plain_keypoints
 from revisit.core.errors import DataLoss
 from revisit.core.kernels.keypoint_models import ANGLE_BITS, HIGHEST, KEYPOINT_MODELS
-from revisit.core.learned_chances import learned_chances
-from revisit.core.plain_keypoints import PlainReader, plain_keypoints
 
 Whole = NDArray[np.int64]
 Coded = tuple[Whole, Whole, NDArray[np.bool_]]

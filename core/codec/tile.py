@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import itertools
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from revisit.core.container import Container
+from revisit.core.codec.container import Container
+from revisit.core.codec.mesh import Mesh, pack_mesh, unpack_mesh
 from revisit.core.errors import DataLoss
-from revisit.service.application.contract.map_tiles import FusedTile
-from revisit.service.application.contract.recogniser import Mesh
-from revisit.service.application.mapping.packed_meshes import pack_mesh, unpack_mesh
 
 # What it holds is compressed already.
 _CONTAINER = Container(b"RVMT\x01", "stored tile", level=1, max_body_bytes=2**29)
@@ -19,6 +18,15 @@ _CONTAINER = Container(b"RVMT\x01", "stored tile", level=1, max_body_bytes=2**29
 _NOTHING = np.zeros((0, 3), np.float32)
 EMPTY = Mesh(_NOTHING, _NOTHING, np.zeros((0, 3), np.int32))
 """A mesh of nothing."""
+
+
+@dataclass(frozen=True)
+class FusedTile:
+    """The surface of a tile: its neural map, a mesh, and points (a mesh without faces), metres from its middle."""
+
+    neural_map: bytes
+    mesh: Mesh
+    points: Mesh
 
 
 class StoredTile:

@@ -7,9 +7,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from revisit.core.codec.learned_chances import learned_arrays
 from revisit.core.kernels import guided_planes, mixed_octree
 from revisit.core.kernels.mixed_coder import Mixture, fresh_mixture
-from revisit.core.learned_chances import learned_arrays
 
 LEARNED = "neural-map-1.npz"
 """Where in core/weights they are."""

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from revisit.core.candidates import are_revisits, candidate_policy
+from revisit.core.acceptance.revisits import are_revisits, candidate_policy
 from revisit.core.config import LoopConfig, PipelineConfig
 
 Positions = NDArray[np.float64]

@@ -3,20 +3,29 @@
 from __future__ import annotations
 
 import struct
+from dataclasses import dataclass
 
 import numpy as np
 import zstandard
 from numpy.typing import NDArray
 
-from revisit.core.container import decompressed, from_byte_planes, to_byte_planes
+from revisit.core.codec.container import decompressed, from_byte_planes, to_byte_planes
 from revisit.core.errors import DataLoss
-from revisit.service.application.contract.recogniser import Mesh
 
 _MAGIC = b"RVM1"
 _HEADER = struct.Struct("<4sII")
 _STEP_M = 0.001
 _NORMAL_STEPS = 127
 _MAX_BYTES = 2**29
+
+
+@dataclass(frozen=True)
+class Mesh:
+    """Triangles: vertices (v, 3) float32 metres in the submap frame, unit normals (v, 3), faces (f, 3) int32."""
+
+    vertices: NDArray[np.float32]
+    normals: NDArray[np.float32]
+    faces: NDArray[np.int32]
 
 
 def pack_mesh(mesh: Mesh) -> bytes:

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from revisit.core.codec.neural_chances import Mixtures, learned_mixtures
 from revisit.core.errors import DataLoss
 from revisit.core.geometry import octahedral
-from revisit.core.implicit_map.map_chances import Mixtures, learned_mixtures
-from revisit.core.implicit_map.settled import PlaneCodes, distinct_rows
+from revisit.core.geometry.voxel_keys import first_rows, voxel_keys
 from revisit.core.kernels.feature_coder import code_features, feature_models
 from revisit.core.kernels.guided_planes import code_guided_planes
 from revisit.core.kernels.mixed_octree import code_mixed_octree
@@ -28,6 +28,19 @@ _MAX_DEPTH = 30
 _MAX_FEATURES = 256
 _COARSEST = 16
 _NOTHING = np.zeros((0, 3), np.int32)
+
+
+@dataclass(frozen=True)
+class PlaneCodes:
+    """Whole numbers of n neural points: voxels (n, 3) int32; planes (n, 4) int32, octahedral normal (2), offset of the
+    tangent plane from the voxel's centre, and class of hits.
+    """
+
+    voxels: NDArray[np.int32]
+    planes: NDArray[np.int32]
+
+    def __getitem__(self, rows: NDArray[np.int64]) -> PlaneCodes:
+        return PlaneCodes(self.voxels[rows], self.planes[rows])
 
 
 @dataclass(frozen=True)
@@ -66,6 +79,11 @@ class Form:
         ):
             raise DataLoss("the form of the neural map is unreadable")
         return self
+
+
+def distinct_rows(voxels: NDArray[np.int32]) -> NDArray[np.int64]:
+    """The first row of each of `voxels` (n, 3), ascending."""
+    return np.sort(first_rows(voxel_keys(voxels)))
 
 
 def write_points(

@@ -9,10 +9,11 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from revisit.core.errors import DESCRIBED_AGAIN, DataLoss, FormerForm
+from revisit.core.codec.container import refuse_former
+from revisit.core.codec.place_head import PlaceHead, pack_head, unpack_head
+from revisit.core.codec.place_keypoints import ANGLES, Coded, in_stored_order, read_keypoints, write_keypoints
+from revisit.core.errors import DataLoss
 from revisit.core.kernels.keypoint_models import MOST_NUMBERS
-from revisit.core.place_head import PlaceHead, pack_head, unpack_head
-from revisit.core.place_keypoints import ANGLES, Coded, in_stored_order, read_keypoints, write_keypoints
 
 Array = NDArray[np.float32]
 
@@ -43,7 +44,7 @@ class PlaceContents:
 
 def write_form(contents: PlaceContents, head: PlaceHead) -> bytes:
     """The blob of a place; the sizes in `head` become those of `contents`."""
-    from revisit.core.place_surface import write_surface  # the gateway reads keypoints without compiled code
+    from revisit.core.codec.place_surface import write_surface  # the gateway reads keypoints without compiled code
 
     standing, points, normals, spacing = contents.standing_count, contents.points, contents.normals, head.spacing
     parity, keypoints = contents.parity[:DIMENSIONS], write_keypoints(*_coded(contents))
@@ -59,7 +60,7 @@ def write_form(contents: PlaceContents, head: PlaceHead) -> bytes:
 
 def settled_form(contents: PlaceContents, spacing: float) -> PlaceContents:
     """What `read_form` reads of what `write_form` writes of `contents`, without writing it."""
-    from revisit.core.place_surface import settled_surface
+    from revisit.core.codec.place_surface import settled_surface
 
     standing, points, normals = contents.standing_count, contents.points, contents.normals
     standing_points, standing_normals = settled_surface(points[:standing], normals[:standing], spacing, "standing")
@@ -78,8 +79,7 @@ def read_form(blob: bytes, *, surface: bool) -> tuple[PlaceHead, PlaceContents]:
     """The inverse of `write_form`; without `surface` its points are left out, and no compiled code is needed. Raises
     FormerForm, DataLoss for anything else.
     """
-    if blob.startswith(FORMER_MAGICS):
-        raise FormerForm("stored place", DESCRIBED_AGAIN)
+    refuse_former(blob, FORMER_MAGICS, "stored place")
     content, digest = blob[:-DIGEST_BYTES], blob[-DIGEST_BYTES:]
     if not content.startswith(MAGIC):
         raise DataLoss("not a stored place of this version")
@@ -137,7 +137,7 @@ def surface_read(streams: tuple[bytes, bytes], spacing: float) -> tuple[Array, A
     """Points (n, 3), normals (n, 3) and how many of them stand, of the streams of both kinds. Raises DataLoss."""
     if not any(streams):
         return np.zeros((0, 3), np.float32), np.zeros((0, 3), np.float32), 0
-    from revisit.core.place_surface import read_surface
+    from revisit.core.codec.place_surface import read_surface
 
     standing = read_surface(streams[0], spacing, MAX_ROWS, "standing")
     ground = read_surface(streams[1], spacing, MAX_ROWS, "ground")
