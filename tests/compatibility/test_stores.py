@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import hashlib
+import re
 import sqlite3
 import zipfile
 from contextlib import closing
@@ -63,7 +64,7 @@ def schema_of(database: Path) -> dict[str, str]:
     """The statements that make it, by name, but for white space and quotes that name nothing more."""
     with closing(sqlite3.connect(database)) as connection:
         made = connection.execute("SELECT name, sql FROM sqlite_schema WHERE sql IS NOT NULL").fetchall()
-    return {name: " ".join(sql.replace('"', "").replace(")", " )").split()) for name, sql in made}
+    return {name: " ".join(re.sub(r"([(),])", r" \1 ", sql.replace('"', "")).split()) for name, sql in made}
 
 
 def test_a_new_database_has_the_schema_of_a_store_that_all_steps_made(tmp_path):
