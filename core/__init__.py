@@ -12,7 +12,7 @@ The modules in the order of the paper:
     spectra                 spectra of faces and plan                              beyond the paper
     descriptor              aggregation and fusion                                 III-D, III-E, Eq. 13-15
     index                   nearest descriptors                                    III-E, Eq. 15
-    place                   what is kept of a submap for verification              III-E
+    place                   the recognition artefact of a submap                   III-E
     verification            start, registration, evidence, verdict of a pair       III-E
     acceptance              which pairs are sought, and which are loops            IV-B, beyond the paper
     pose_graph              consistent loops, robust optimisation                  beyond the paper
@@ -21,7 +21,7 @@ The modules in the order of the paper:
 
 Beside them: geometry (transforms, frames, voxel keys, the vertical of a cloud), kernels (compiled inner loops), device
 (where they run), codec (stored bytes), config (all parameters), profiles (the paper's form), model_bundle (decoder and
-codebooks), sanity (whether the input can be what it claims), pair_verdict (types of verdicts), stages (their names and
+codebooks), sanity (plausibility of the input), pair_verdict (types of verdicts), stages (their names and
 times), errors.
 
 Nothing here knows a network, a database, a clock or a file.

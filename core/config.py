@@ -628,7 +628,7 @@ class PipelineConfig:
             self.bev.refuse("half_range", f"must give an image of 2 to {MAX_IMAGE_PX} pixels of {resolution:g} m")
 
     def of_map(self, scene_scale: float, submap: Overrides, loop: Overrides, verification: Overrides) -> PipelineConfig:
-        """These parameters with what a map overrides, by name; None: as they are. Raises BadField, TypeError."""
+        """These parameters with the overrides of a map, by name; None: as they are. Raises BadField, TypeError."""
         windows = dataclasses.replace(
             self.submap, **{"min_range": self.submap.min_range * scene_scale, **_given(submap)}
         )

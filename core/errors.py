@@ -1,4 +1,4 @@
-"""What can go wrong in the core: transport-free codes and the exceptions that carry them.
+"""Errors of the core: transport-free codes and the exceptions that carry them.
 
 An exception's docstring is its default message; `service/status.py` maps every code to HTTP and gRPC.
 "No loop" and "rejected by verification" are results, never errors.

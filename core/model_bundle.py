@@ -34,7 +34,7 @@ FIRST_TRAINING: Mapping[str, Value] = {
     "spectra.reach": 65.0, "spectra.frequencies": 24, "spectra.highest": 0.25, "spectra.harmonics": 12,
     "spectra.neighbours": 1,
 }  # fmt: skip
-"""The parameters that say what the entries of a feature mean, as they were when revisit-1.npz was trained."""
+"""The parameters that define the entries of a feature, as they were when revisit-1.npz was trained."""
 
 
 @dataclass(frozen=True)
@@ -74,7 +74,7 @@ def parameter_value(config: PipelineConfig, name: str) -> Value:
 
 
 def training_record(config: PipelineConfig) -> NDArray[np.uint8]:
-    """What `load_bundle` reads back as `trained_with`, as an array for a model file."""
+    """`trained_with` as an array for a model file, read back by `load_bundle`."""
     record = {name: parameter_value(config, name) for name in FIRST_TRAINING}
     return np.frombuffer(json.dumps(record).encode(), np.uint8)
 

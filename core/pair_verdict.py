@@ -42,7 +42,7 @@ class LoopMeasurement:
 
     similarity of the descriptors; inliers, keypoints that agree on the first guess of the pose, and inlier_ratio, their
     share of the correspondences; overlap 0..1 of the surfaces; contrast, how much of it is lost a few metres aside;
-    seen_through 0..1, how much of what stands in one place the other has looked through; rmse_m of the point-to-plane
+    seen_through 0..1, the share of a place's structure that the other looked through; rmse_m of the point-to-plane
     residuals; score 0..1 (`loop_score`);
     T_match_query (4, 4) maps points of the query submap's frame into the match submap's frame; covariance (6, 6) of its
     tangent (x, y, z, rx, ry, rz), metres and radians, in the match frame; rivals, other poses that fit about as well,

@@ -37,7 +37,7 @@ from revisit.core.verification import RejectedLoop, VerifiedLoop
 
 @dataclass(frozen=True)
 class DescribedSurface:
-    """What the surface of a submap becomes; surface, clusters and BEV are in the level frame `frame`."""
+    """The views of a submap's surface; surface, clusters and BEV are in the level frame `frame`."""
 
     descriptor: PlaceDescriptor
     place: Place
@@ -49,7 +49,7 @@ class DescribedSurface:
 
 @dataclass(frozen=True)
 class DescribedPlace(DescribedSurface):
-    """What a submap becomes.
+    """The description of a submap.
 
     The neural map is in the level frame too; `flags` name what was noticed ("degenerate_plane", "crowded" where it
     filled more voxels than a neural map may have, and what `place_flags` says).
@@ -61,7 +61,7 @@ class DescribedPlace(DescribedSurface):
 
 @dataclass(frozen=True)
 class FittedSubmap:
-    """What the rest needs of a submap once its neural map is fitted: from then on its points can go.
+    """A submap after its neural map is fitted: its points can be freed.
 
     `rng` is the state in which fitting has left the random numbers.
     """
@@ -106,9 +106,9 @@ def describe_fitted(fitted: FittedSubmap, models: ModelBundle, config: PipelineC
 def describe_again(
     neural_map: NeuralMap, models: ModelBundle, config: PipelineConfig, seed: int = 0
 ) -> DescribedSurface:
-    """What other `models` make of a submap, from its stored neural map instead of its scans.
+    """The description by other `models`, from the stored neural map instead of the scans.
 
-    Raises what `describe` raises.
+    Raises as `describe` does.
     """
     models.require_fits(config)
     surface = extract_surface(neural_map, config.surface)

@@ -23,7 +23,7 @@ MAX_SCENE_M = 400.0
 
 @dataclass(frozen=True)
 class CloudReport:
-    """What validation noticed about a cloud."""
+    """Notes of the validation of a cloud."""
 
     dropped_nonfinite: int
     degenerate_plane: bool
@@ -40,12 +40,12 @@ class Scan:
 
     @classmethod
     def validated(cls, points: NDArray[np.floating], T_odom_sensor: NDArray[np.float64], stamp_ns: int) -> Scan:
-        """A scan of finite, non-degenerate points. Raises what `validate_cloud` and `posed` raise."""
+        """A scan of finite, non-degenerate points. Raises as `validate_cloud` and `posed` do."""
         return cls.posed(*validate_cloud(points), T_odom_sensor, stamp_ns)
 
     @classmethod
     def posed(cls, points: Points, report: CloudReport, T_odom_sensor: NDArray[np.float64], stamp_ns: int) -> Scan:
-        """A scan of what `validate_cloud` has returned. Raises BadField, and what `se3.validated` raises."""
+        """A scan of a validated cloud (`validate_cloud`). Raises BadField, and as `se3.validated` does."""
         if stamp_ns < 0 or stamp_ns >= 2**63:
             raise BadField("the time stamp must be in [0, 2^63) nanoseconds", field="stamp_ns")
         return cls(points, se3.validated(T_odom_sensor), stamp_ns, report)
@@ -57,7 +57,7 @@ def scene_size(scan: Scan) -> float:
 
 
 def validate_cloud(points: NDArray[np.floating]) -> tuple[Points, CloudReport]:
-    """The finite points of a cloud as contiguous (n, 3) float32, with what was noticed.
+    """The finite points of a cloud as contiguous (n, 3) float32, with its notes.
 
     Raises BadField for another shape, EmptyCloud below 100 points, NonFinitePoints where more than 90 % are NaN or
     infinite, OutOfRange beyond 10 km, DegenerateCloud where the points are identical or on one line.

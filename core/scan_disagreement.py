@@ -1,8 +1,8 @@
-"""How far the scans of a submap disagree on its planes: what no motion mends, a sensor mounted askew, single poses.
+"""Disagreement between the scans of a submap on its planes: surface, a sensor mounted askew, single poses.
 
 Loops between submaps whose scans disagree are off by more than their points say (docs/decisions/0081). What is left
 after each scan has been moved to where it fits best is no error of its pose: beams that are off, surfaces that no two
-scans see alike. And where the sensor looks beside the direction in which its poses move it, what it sees ahead moves
+scans see alike. And where the sensor looks beside the direction in which its poses move it, points ahead move
 aside from scan to scan, by its angle times the way.
 """
 
@@ -35,8 +35,8 @@ _LIKELY_SHIFT, _LIKELY_TURN = 0.01, np.radians(0.05)  # of a good odometry; moti
 class ScanDisagreement:
     """surface: standard deviation across planes, in the submap's unit; askew: radians off the direction of travel.
 
-    Of what motions of the scans mend, little counts as surface: errors of single poses average out over the scans.
-    shift and turn: what the recorded pose of one scan is off by itself, standard deviations along and about each axis,
+    Of the error that motions of scans mend, little counts as surface: errors of single poses average out over scans.
+    shift and turn: the error of the recorded pose of one scan, standard deviations along and about each axis,
     in the submap's unit and radians; 0 where that is not told.
     """
 
@@ -115,7 +115,7 @@ def _askew(normal: Array64, right: Array64, origins: Array64) -> float:
 
 
 def _single_poses(normal: Array64, moved: Array64, variance: float, origins: Array64) -> tuple[float, float]:
-    """How far the pose of a single scan is off, along and about each axis: what a line through all motions leaves.
+    """How far the pose of a single scan is off, along and about each axis: the rest beside a line through all motions.
 
     `moved` (s, 6): the motions that mend the scans, with their `normal` matrix; `variance` of a height. Of a steady
     drift, as of a sensor askew, nothing counts; of a heading that walks, its bends do (docs/decisions/0081). What the
@@ -198,7 +198,7 @@ def _planes(
 def _within_planes(
     pairs: _PlaneHeights, starts: NDArray[np.int64], of_plane: NDArray[np.int64], scans: int
 ) -> tuple[Array64, Array64]:
-    """Heights (k,), and what small motions of the scans add to them (k, 6 scans), less the means of their planes."""
+    """Heights (k,), and the effect of small motions of the scans (k, 6 scans), less the means of their planes."""
     motions = np.zeros((len(pairs.height), scans, 6))
     lever = np.cross(pairs.middles, pairs.normals)
     motions[np.arange(len(pairs.scan)), pairs.scan] = np.concatenate([pairs.normals, lever], axis=1)

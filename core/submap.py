@@ -94,7 +94,7 @@ class Submap:
     def from_scans(cls, scans: list[Scan], config: SubmapConfig) -> Submap:
         """The submap of a window's `scans` (in time order, at least one), in the frame of the middle one.
 
-        Of more scans than are needed some are chosen (`chosen_scans`). Raises what `accumulated` raises.
+        Of more scans than are needed some are chosen (`chosen_scans`). Raises as `accumulated` does.
         """
         positions = np.array([scan.T_odom_sensor[:3, 3] for scan in scans])
         rows = chosen_scans(positions, np.array([len(scan.points) for scan in scans]), config)
@@ -107,7 +107,7 @@ class Submap:
     def accumulated(cls, scans: Iterable[Scan], T_odom_submap: se3.Matrix4, config: SubmapConfig, room: int) -> Submap:
         """All of these `scans` (in time order, at least one) in the frame with this pose; they may come one by one.
 
-        Returns out of the sensor's range are left out, and so is what lies beyond range and tau from the frame's
+        Returns out of the sensor's range are left out, and so are points beyond range and tau from the frame's
         origin: odometry that jumped. Raises EmptyCloud where fewer than 100 points remain, and BadField where the scans
         have more than `room` points together.
         """
@@ -165,7 +165,7 @@ def chosen_scans(
     """Which of a window's scans (s,) are described, ascending: those nearest to marks of travel, and more if needed.
 
     `positions` (s, 3) metres and the numbers of `returns` (s,) are in time order. The marks are tau / `scans_per_tau`
-    apart, so that neither the speed of the robot nor the rate of its sensor changes what is described. Where the scans
+    apart, so that neither the speed of the robot nor the rate of its sensor changes the description. Where the scans
     at the marks have fewer than `enough_returns`, of a sensor of few beams, others join them, evenly spread, until
     they have (docs/decisions/0151).
     """

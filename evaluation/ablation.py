@@ -15,7 +15,7 @@ from revisit.core.surface import surface_from_points
 
 
 class Ablation(StrEnum):
-    """What is left out: nothing, the implicit map, the cluster part, or the bird's-eye view."""
+    """The part left out: none, the implicit map, the cluster part, or the bird's-eye view."""
 
     NONE = "none"
     NO_IMPLICIT = "no-implicit"

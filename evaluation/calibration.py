@@ -38,7 +38,7 @@ class NullSimilarities:
 
 @dataclass(frozen=True)
 class Threshold:
-    """Accept what is more alike than `similarity`.
+    """Accept pairs above `similarity`.
 
     With probability `confidence`, at most the share `false_alarm_rate` of the queries whose place is not in the map
     finds a match above it.

@@ -37,7 +37,7 @@ def load_submap(
 ) -> tuple[Submap, Window]:
     """The submap of a window, thinned but not turned, and the scans in it: a bad scan is left out.
 
-    Raises what reading or validating the last scan raised where all are bad, EmptyCloud where too few points remain.
+    Raises the error of the last scan where all are bad, EmptyCloud where too few points remain.
     """
     scans: list[Scan] = []
     used: list[int] = []

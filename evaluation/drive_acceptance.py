@@ -67,7 +67,7 @@ class JudgedDrive:
 
 @dataclass(frozen=True)
 class RulePrice:
-    """What a doubt costs and saves on a drive: pairs that passed by themselves with a right pose, and a wrong one."""
+    """Cost and gain of a doubt on a drive: pairs that passed by themselves with a right pose, and a wrong one."""
 
     right_lost: int
     false_stopped: int

@@ -27,7 +27,7 @@ PAIR_ROTATION_RAD = np.radians(15.0)
 
 @dataclass(frozen=True)
 class Inspection:
-    """What was measured, by name, and what of it is unlikely to be meant. `sample` holds the scans that were read."""
+    """Measurements by name, and findings. `sample` holds the scans that were read."""
 
     figures: dict[str, float | int | None]
     findings: tuple[Finding, ...]

@@ -16,7 +16,7 @@ from revisit.core.verification import PairVerdict, RejectedLoop
 
 @dataclass(frozen=True)
 class Description:
-    """What a method stores of a submap.
+    """The stored form of a submap.
 
     vector (d,) float32 of length 1; `place` the bytes that verification needs; neural_map_bytes 0 where there is none;
     seconds by stage.
@@ -30,7 +30,7 @@ class Description:
 
 @dataclass(frozen=True)
 class Verdict:
-    """What verification says of a candidate.
+    """The verdict on a candidate.
 
     score in [0, 1]; reason of a rejection, None where accepted; T_match_query where it was estimated; doubts, by name,
     that the claims beside it raised.
@@ -52,7 +52,7 @@ class LoopClosureMethod(Protocol):
     """Describes submaps and verifies candidates. It must be picklable: it is sent to worker processes."""
 
     def describe(self, submap: Submap, seed: int) -> Description:
-        """What to store of a submap."""
+        """The stored form of a submap."""
 
     def verify(self, query: bytes, match: bytes, similarity: float) -> Verdict:
         """Whether the places of two submaps are the same, and how they align."""

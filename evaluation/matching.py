@@ -137,7 +137,7 @@ def ranked_candidate(
 def nearness(T_match_query: se3.Matrix4 | None, radius_m: float) -> float:
     """How much two submaps are the same place by the distance d between them: 1 / (1 + (d / radius)^4).
 
-    Two submaps can be aligned rightly and yet lie farther apart than what counts as one place. d is the estimated
+    Two submaps can be aligned rightly and yet lie farther apart than one place. d is the estimated
     distance, not the true one; 1 where there is none.
     """
     if T_match_query is None:

@@ -1,4 +1,4 @@
-"""A picture of a merge: the tracks of a map before and after, and what changed between the days."""
+"""A picture of a merge: the tracks of a map before and after, and the changes between the days."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How good a list of matches is: the paper's precision, recall, AUC and F1 (IV-B), and what users ask beyond it.
+"""How good a list of matches is: the paper's precision, recall, AUC and F1 (IV-B), and further figures for users.
 
 The paper's protocol. A query's loop exists where an earlier submap lies within the radius and differs by more than
 the index gap. A match is accepted where its score reaches the threshold; accepted is right within the radius (TP),

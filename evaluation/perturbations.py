@@ -16,7 +16,7 @@ SOURCE_BEAMS = 64
 
 @dataclass(frozen=True)
 class Perturbation:
-    """What is done to a recording before it is described.
+    """A change of a recording before it is described.
 
     keep_beams: how many of 64 elevation bins are kept, None for all; keep_points: share of the points that are kept,
     0 < share <= 1; rotate_seed: seed of the independent uniform yaw of every submap, None for no turning.

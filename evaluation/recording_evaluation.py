@@ -37,7 +37,7 @@ Progress = Callable[[str, int, int], None]
 
 @dataclass(frozen=True)
 class EvaluationOptions:
-    """What to evaluate. tau, stride and positive_radius in metres; jobs in processes.
+    """The parameters of an evaluation. tau, stride and positive_radius in metres; jobs in processes.
 
     `leave_distance` (metres) is half of tau where it is None: a drive must have been so far from a place for a loop.
     `scene_scale` compares the scene with a street; None estimates it from the ranges (`evaluation.scene`).

@@ -16,7 +16,7 @@ SAMPLED_SCANS = 20
 def estimate_scene_scale(recording: Recording) -> float:
     """The scene scale for a recording: 1 unless 90 % of the returns are nearer than 10 m.
 
-    Below, that range over 20 m, what it is on streets; at least 0.15. Every recording of streets, yards or parks is
+    Below, that range over 20 m, its value on streets; at least 0.15. Every recording of streets, yards or parks is
     described with the same scale, so that its descriptors stay comparable with others. Scans that cannot be read say
     nothing; without any other, 1.
     """

@@ -196,7 +196,7 @@ class LoopClaim:
 
 
 TELLING = RejectionReason.AMBIGUOUS, RejectionReason.LOW_SCORE
-"""Reasons of rejected pairs that say of a pose whether pairs pass at it: with the accepted ones, what a drive tells."""
+"""Reasons of rejected pairs that tell whether pairs pass at a pose: with accepted ones, the evidence of a drive."""
 
 _OF_A_PASSED_PAIR = frozenset(
     {

@@ -19,7 +19,7 @@ from revisit.core.geometry.se3 import Matrix4
 from revisit.core.pair_verdict import RejectionReason
 
 LEAST_EVIDENT = 0.36
-"""A smaller share is what chance gives where places look alike."""
+"""Chance gives a smaller share where places look alike."""
 
 REACH_M = 80.0
 """Pairs of which the queries lie farther apart along their drive say nothing of each other."""

@@ -1,8 +1,8 @@
-"""What loops between the same two drives say of each other, by the odometry of both drives.
+"""Consistency of loops between the same two drives, by the odometry of both.
 
 Each loop puts the odometry frame of one drive beside that of the other. Held against each other all at once: a drive
 has hundreds of loops within reach of a submap, and every new one is held against all of them. A loop within one drive
-is held against the odometry of that drive, too. Heights are held to what both odometries show of their own drift
+is held against the odometry of that drive, too. Heights are held to the drift of both odometries
 (docs/decisions/0214).
 """
 
@@ -35,7 +35,7 @@ class DriveLoops:
 
     @cached_property
     def refuted(self) -> NDArray[np.bool_]:
-        """Which loops (n,) of one drive cannot be believed, for what its odometry says: however poor, it is no lie."""
+        """Loops (n,) of one drive that its odometry refutes: it may be poor, but it is no lie."""
         if not self._loops:
             return np.zeros(0, dtype=bool)
         off = self._at_query.diagonal(axis1=0, axis2=1).T - self._T_odom_query[:, :3, 3]
@@ -45,7 +45,7 @@ class DriveLoops:
         return np.asarray(of_one & (far | (risen & (self._own_way_m <= _FAR_HEIGHTS * self._config.support_reach))))
 
     def contradicted(self) -> NDArray[np.bool_]:
-        """Which loops (n,) cannot be believed, for what the others say of their pairs.
+        """Loops (n,) that the others contradict.
 
         The first pose of each loop counts. Of two poses that lie apart by more than drift explains, one at least is
         wrong. Which one is not known: a loop stands only where no more than one in five of those that speak of its
@@ -57,7 +57,7 @@ class DriveLoops:
         return np.asarray(self._outvoted(reach_m) | self._outvoted(_FAR_REACHES * reach_m))
 
     def other_poses(self, row: int) -> list[se3.Matrix4]:
-        """What is said instead of the loop in `row`, T_match_query each: by its own odometry, by loops beside it.
+        """Other poses T_match_query of the pair in `row`: by its own odometry, by loops beside it.
 
         Poses that are one, once.
         """
@@ -72,7 +72,7 @@ class DriveLoops:
         return [pose for pose, _ in found]
 
     def neighbours(self, row: int) -> list[NeighbourLoop]:
-        """What the loops within reach of that in `row` say of its pair."""
+        """Poses of the pair in `row` by the loops within reach."""
         return [self._neighbour(row, other) for other in self._near(row)]
 
     def agrees_with_any(self, row: int, which: Sequence[bool]) -> bool:

@@ -16,7 +16,7 @@ _REGISTRATION_M = 1.0
 """So far apart in height two right loops may put one query where nothing has drifted."""
 
 _LEAST_DRIFT = 0.003
-_DRIFTS = 3.0  # times the median of what neighbouring loops show
+_DRIFTS = 3.0  # times the median of neighbouring loops
 _NEIGHBOURS_M = 10.0, 30.0
 _ONE_STOREY_M = 1.5
 _LEAST_PAIRS = 10

@@ -1,7 +1,7 @@
 """Independent support for a loop that geometry alone cannot tell from its rivals (docs/decisions/0161).
 
 Where a place repeats, each loop along it has the same hypotheses, one period apart, and every one of them has as much
-support along the drive as the true one. What breaks the tie is a loop beside it that is sure of itself: the end of a
+support along the drive as the true one. A loop beside it that is sure of itself breaks the tie: the end of a
 row. Odometry of both drives carries its pose over, and its error grows by far less than a period on the way.
 """
 
@@ -86,7 +86,7 @@ def find_support(
 def told_pose(neighbours: Sequence[NeighbourLoop], config: VerificationConfig) -> ToldPose | None:
     """The first pose of the neighbour with the shortest way, of those within `support_reach`; None where there is none.
 
-    How many agree with it, itself among them, says what it is worth: a guess, or known (docs/decisions/0161).
+    How many agree with it, itself among them, is its weight: a guess, or known (docs/decisions/0161).
     """
     near = [one for one in _within_reach(neighbours, config) if one.accepted]
     if not near:
@@ -121,7 +121,7 @@ def agrees(T_match_query: se3.Matrix4, neighbour: NeighbourLoop, config: Verific
 
 
 def _tolerance(neighbour: NeighbourLoop, config: VerificationConfig) -> tuple[float, float]:
-    """Metres and radians by which a carried pose may be off: its own error, and what grows with the way."""
+    """Tolerance of a carried pose, metres and radians: its own error, and drift along the way."""
     return config.support_tolerance + config.support_drift * neighbour.way_m, np.radians(config.support_turn)
 
 

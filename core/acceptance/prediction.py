@@ -22,8 +22,8 @@ from revisit.core.geometry.se3 import Matrix4
 from revisit.core.pair_verdict import PairVerdict, VerifiedLoop
 
 _WINDOWS = 3.0
-"""Windows between two submaps up to which they share about half of what they have seen. What repeats within that is
-seen as a rival of each single loop (docs/decisions/0080); what repeats farther away, by farther candidates.
+"""Windows between two submaps up to which they share about half of what they have seen. Repetition within that is
+seen as a rival of each single loop (docs/decisions/0080); repetition farther away, by farther candidates.
 """
 
 
@@ -80,13 +80,13 @@ class PredictedPoses:
         found = told_pose([*self._by_odometry(row), *self._by_map(row)], self._config.verification)
         if found is None:
             return None
-        # Far candidates are compared whatever is predicted: a second place that looks alike must not be hidden.
+        # Far candidates are always compared: a second place that looks alike must not be hidden.
         within_reach = float(np.linalg.norm(found.T_match_query[:3, 3])) <= _WINDOWS * self._config.submap.tau
         is_known = within_reach and 0 < self._config.loop.enough <= found.agreeing
         return PredictedPose(found.T_match_query, within_reach, is_known)
 
     def _by_odometry(self, row: int) -> list[NeighbourLoop]:
-        """What the pairs with the same drive say that odometry carries so far."""
+        """Predictions of pairs with the same drive, carried by odometry."""
         match, stride_m = self._candidates[row], self._config.submap.stride
         T_match_odom = se3.inverse(match.T_odom_submap)
         return [
@@ -96,7 +96,7 @@ class PredictedPoses:
         ]
 
     def _by_map(self, row: int) -> list[NeighbourLoop]:
-        """What the other pairs say by the map: as good as odometry on its longest way."""
+        """Predictions of the other pairs by the map: as good as odometry on its longest way."""
         in_map = self._in_map[row] if self._stands else None
         if in_map is None:
             return []
@@ -140,5 +140,5 @@ def _way_between(submap: Station, other: Station, stride_m: float) -> float:
 
 
 def _said(T_match_query: Matrix4, way_m: float) -> NeighbourLoop:
-    """An accepted pair of the query itself, by what it says of another candidate."""
+    """An accepted pair of the query itself, as a predictor of another candidate."""
     return NeighbourLoop(True, (T_match_query,), 0.0, way_m, way_m)

@@ -29,7 +29,7 @@ __all__ = ["BevFeatures", "describe_bev", "reversed_patches"]
 
 @dataclass(frozen=True)
 class BevFeatures:
-    """What the bird's-eye view of a submap shows.
+    """The bird's-eye view of a submap.
 
     image (H, W) float32 0..1, row = y, column = x; keypoints (n, 2) float32 metres in the submap frame, strongest
     first; orientations (n,) float32 radians in [0, pi); descriptors (n, d) float32 unit vectors (Hellinger mapped);

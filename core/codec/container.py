@@ -72,9 +72,9 @@ def refuse_former(blob: bytes, magics: tuple[bytes, ...], noun: str) -> None:
 
 
 def decompressed(packed: bytes, max_bytes: int, noun: str) -> bytes:
-    """What a zstd frame holds, at most `max_bytes`. Raises DataLoss for a larger or damaged one."""
+    """The content of a zstd frame, at most `max_bytes`. Raises DataLoss for a larger or damaged one."""
     try:
-        # A frame that announces its size is unpacked whole, whatever `max_output_size` says.
+        # A frame that announces its size is unpacked whole and ignores `max_output_size`.
         if zstandard.frame_content_size(packed) > max_bytes:
             raise DataLoss(f"the {noun} is too large")
         return zstandard.ZstdDecompressor().decompress(packed, max_output_size=max_bytes)

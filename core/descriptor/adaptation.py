@@ -23,7 +23,7 @@ _SHORTEST = 1e-6
 
 @dataclass(frozen=True)
 class SiteStatistics:
-    """What the descriptors (n, d) of a map have in common: `mean` and `spread` (d,), and the mean (d,) of sessions."""
+    """Statistics of the descriptors (n, d) of a map: `mean` and `spread` (d,), and the mean (d,) of sessions."""
 
     mean: Array
     spread: Array
@@ -72,7 +72,7 @@ class SiteStatistics:
 
 @dataclass(frozen=True)
 class SessionSums:
-    """What statistics need of a session's descriptors: how many, their sum (d,) and the sum of their squares (d,)."""
+    """Sums of a session's descriptors: their number, their sum (d,) and the sum of their squares (d,)."""
 
     count: int
     total: NDArray[np.float64]

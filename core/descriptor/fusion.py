@@ -34,7 +34,7 @@ class PlaceDescriptor:
 
 @dataclass(frozen=True)
 class PlaceFeatures:
-    """What the fused descriptor is made of."""
+    """The parts of the fused descriptor."""
 
     bev: BevFeatures
     micro: ClusterStatistics
@@ -57,7 +57,7 @@ def fuse(features: PlaceFeatures, codebooks: Codebooks, config: FusionConfig, mo
 
 
 def without_parts(vector: Array, config: FusionConfig, *, bev: bool = False, normals: bool = False) -> Array:
-    """What `fuse` would have given without the BEV parts, or the cluster part, from its `vector` (d,)."""
+    """The result of `fuse` without the BEV parts, or the cluster part, from its `vector` (d,)."""
     macro_end, micro_end = config.macro_size, config.macro_size + config.micro_size + config.spectrum_size
     kept = vector.copy()
     if bev:

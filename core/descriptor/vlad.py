@@ -16,7 +16,7 @@ Array = NDArray[np.float32]
 
 @dataclass(frozen=True)
 class Codebooks:
-    """What was learned from other places, as plain float32 arrays.
+    """Learned codebooks, as plain float32 arrays.
 
     local_basis (l, d): projects patch histograms (d,) to l numbers; local_parity (l,) +-1: the sign each of them takes
     when the patch is turned by 180 degrees. macro_centres (k, l), macro_mean (k * l,) and macro_folds (h, k * l): h
@@ -121,7 +121,7 @@ def fold(vector: Array, mean: Array, folds: Array) -> Array:
 
 
 def folded_size(folds: Array) -> int:
-    """The length p of what `fold` makes."""
+    """The length p of a folded vector."""
     return int(np.abs(folds).max())
 
 

@@ -31,7 +31,7 @@ _DEVICE: ContextVar[Device | None] = ContextVar("_DEVICE", default=None)
 
 
 def open_device(name: str) -> Device:
-    """The device of a name: `cpu`, `cuda`, `cuda:N`, or `torch-cpu`, which does on the processor what a GPU would do.
+    """The device of a name: `cpu`, `cuda`, `cuda:N`, or `torch-cpu`, which does the work of a GPU on the processor.
 
     Raises MissingDevice where it is none of these, or not there: nothing else is taken in its place.
     """

@@ -1,7 +1,7 @@
 """The kernels of description that a device may do in the place of the compiled ones (docs/decisions/0295).
 
 They follow the steps of the method. Each call is of one submap, which is a batch by itself: a million returns, a
-hundred thousand corners, sixteen filters. What is asked and answered are NumPy arrays.
+hundred thousand corners, sixteen filters. Requests and answers are NumPy arrays.
 """
 
 from __future__ import annotations
@@ -137,7 +137,7 @@ class SurfaceKernels(Protocol):
 
 
 class ViewKernels(Protocol):
-    """What is counted of a place and filtered in its plan (paper III-D, decision 0017)."""
+    """Counts of a place and filters of its plan (paper III-D, decision 0017)."""
 
     def strongest_orientations(self, image: Array, bank: Array) -> tuple[NDArray[np.int8], Array]:
         """Which orientation of the filters `bank` (o, s, k, k) answers strongest in the `image` (h, w), and how."""
@@ -167,7 +167,7 @@ class ViewKernels(Protocol):
 
 @dataclass(frozen=True)
 class DescriptionKernels:
-    """What most of the time of description goes into, by the steps of the method."""
+    """The costly kernels of description, by the steps of the method."""
 
     maps: MapKernels
     surfaces: SurfaceKernels

@@ -173,7 +173,7 @@ def _covariances(sums: Tensor) -> tuple[Tensor]:
 
 @replayed
 def _shares(away: Tensor, spreads: Tensor, *, resolution: float) -> tuple[Tensor]:
-    """What pairs add to count, sum d and upper sum d d^T (p, 10) of a query, which is `away` (p, 3) from each point."""
+    """The addends of pairs to count, sum d and upper sum d d^T (p, 10) of a query `away` (p, 3) from each point."""
     gap = away[:, 0] * away[:, 0] + away[:, 1] * away[:, 1] + away[:, 2] * away[:, 2]
     scale, farthest = np.float32(-0.5 / (0.7 * resolution) ** 2), np.float32(4.0 * resolution**2)
     weight = torch.exp((gap * float(scale)).double()).float() * spreads[:, 0] * (gap <= float(farthest))

@@ -1,4 +1,4 @@
-"""The nearest points around queries and what they blend to, by torch (paper III-B 2, Eq. 2-4)."""
+"""The nearest points around queries and their blend, by torch (paper III-B 2, Eq. 2-4)."""
 
 from __future__ import annotations
 

@@ -47,7 +47,7 @@ def _with_prior(covariances: Tensor, view: Tensor) -> Tensor:
 
 
 def _clear_diagonal(rows: list[Tensor]) -> None:
-    """Make what is negligible beside the diagonals zero, in place, so that it is not turned any more."""
+    """Make entries zero, in place, that are negligible beside the diagonals."""
     aside = rows[3] ** 2 + rows[4] ** 2 + rows[5] ** 2
     diagonal = aside <= NEGLIGIBLE * (rows[0] ** 2 + rows[1] ** 2 + rows[2] ** 2)
     for a in range(3, 6):

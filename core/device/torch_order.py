@@ -1,7 +1,7 @@
-"""What belongs together, in the order in which it came, and sums that no order changes, by torch.
+"""Groups in order of arrival, and sums that do not depend on order, by torch.
 
-A device does not go through returns one after another. What a loop finds as it goes is found here by sorting: stable
-sorts keep the order of what is equal. Sums are of whole numbers, whose order does not matter, so that they are the same
+A device does not go through returns one after another. Sorting takes the place of a loop: stable
+sorts keep the order of equals. Sums are of whole numbers, whose order does not matter, so that they are the same
 on each device and in each run.
 """
 
@@ -82,7 +82,7 @@ class Groups:
         return cls(rows, sizes.index_add_(0, rows, torch.ones_like(rows)))
 
     def sums(self, values: Tensor, greatest: float | Tensor) -> Tensor:
-        """Sums (m, ...) float64 of `values` (n, ...) by group, whatever the order; none exceeds `greatest`.
+        """Sums (m, ...) float64 of `values` (n, ...) by group, in any order; none exceeds `greatest`.
 
         Values are rounded to whole multiples of a power of two, so small that the sum of most values fits into 62 bits.
         """

@@ -18,7 +18,7 @@ _FEWEST_ROWS = 1 << 10
 
 
 class _Recording(NamedTuple):
-    """A graph, what it reads, and what it writes."""
+    """A graph, its inputs and its outputs."""
 
     graph: torch.cuda.CUDAGraph
     given: tuple[Tensor, ...]
@@ -28,8 +28,8 @@ class _Recording(NamedTuple):
 def replayed(steps: Steps) -> Steps:
     """`steps` as they are on a processor; on a GPU recorded, and replayed for as many rows as there are.
 
-    They take columns (n, ...) and constants by name, and give columns (n, ...). A row of what they give hangs on that
-    row of what they take alone, and nothing that they do may wait for the GPU.
+    They take columns (n, ...) and constants by name, and give columns (n, ...). A row of the result hangs on that
+    row of the input alone, and nothing that they do may wait for the GPU.
     """
     recordings: dict[tuple[object, ...], _Recording] = {}
 

@@ -1,4 +1,4 @@
-"""What is counted of a place and filtered in its plan, by torch (paper III-D, decision 0017)."""
+"""Counts of a place and filters of its plan, by torch (paper III-D, decision 0017)."""
 
 from __future__ import annotations
 

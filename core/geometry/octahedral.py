@@ -23,7 +23,7 @@ def encode(vectors: NDArray[np.floating], steps: int) -> NDArray[np.uint8]:
 
 
 def decode(codes: NDArray[np.integer], steps: int) -> NDArray[np.float64]:
-    """The unit vectors (n, 3) of codes (n, 2): within about 2 / steps radians of what was encoded."""
+    """The unit vectors (n, 3) of codes (n, 2): within about 2 / steps radians of the encoded ones."""
     if steps > _LISTED_STEPS:
         return _decoded(codes, steps)
     return listed(steps).take(codes[:, 0].astype(np.int64) * (2 * steps + 1) + codes[:, 1], axis=0)

@@ -15,7 +15,7 @@ from revisit.core.errors import BadTransform
 
 Matrix4 = NDArray[np.float64]
 
-# Any place on Earth in any usual frame is nearer; farther is a broken pose, and would overflow what follows.
+# Any place on Earth in any usual frame is nearer; farther is a broken pose, and would overflow later steps.
 MAX_TRANSLATION_M = 1e8
 
 

@@ -1,4 +1,4 @@
-"""A grid of square tiles over a frame of a map, seen from above: what lies in a square, and what may reach it."""
+"""A grid of square tiles over a frame of a map, seen from above: the content of a square, and its surroundings."""
 
 from __future__ import annotations
 

@@ -29,11 +29,11 @@ GATHERED_SHARE = 3
 def fit_implicit_map(
     submap: Submap, decoder: DecoderWeights, config: ImplicitMapConfig, rng: np.random.Generator
 ) -> NeuralMap:
-    """The neural map of a submap: accumulate, remove what moved, fit features where the field is learned."""
+    """The neural map of a submap: accumulate, remove moving objects, fit features where the field is learned."""
     gathered = gather(submap, config)
     crowded = len(gathered) > config.max_points
     points = oriented(gathered, config.resolution, config.max_points)
-    del gathered  # room for what follows
+    del gathered  # room for later steps
     points = without_dynamic_points(points, submap, config)
     points = settle(points, config.resolution)
     if config.field is Field.PLANES:

@@ -56,7 +56,7 @@ class NeuralPoints:  # Eq. 1
 
 
 def oriented(gathered: NDArray[np.float64], resolution: float, most: int = MAX_NEURAL_POINTS) -> NeuralPoints:
-    """The neural points of what was `gathered` in voxels, records (n, RECORD), with their orientations.
+    """The neural points of the returns `gathered` in voxels, records (n, RECORD), with their orientations.
 
     Each lies at the mean of the returns in its voxel, the first of which created it (paper III-B 3; why none is ever
     evicted: docs/decisions/0063). Of more than `most` those nearest to the middle.

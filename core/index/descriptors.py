@@ -24,7 +24,7 @@ _OF_ID = np.uint64(0x9E3779B97F4A7C15)
 
 
 class RowDiffers(Exception):
-    """A shared row is not what it was: it was erased since, or is damaged. Nothing may be answered from it."""
+    """A shared row has changed: it was erased, or is damaged. Nothing may be answered from it."""
 
 
 @dataclass(frozen=True)
@@ -44,7 +44,7 @@ class SharedRows:
 
 
 class Descriptors:
-    """Growing rows of descriptors (n, d). What is shared is read-only and checked whenever it is read."""
+    """Growing rows of descriptors (n, d). Shared rows are read-only and checked at every read."""
 
     def __init__(self, dimension: int, shared: SharedRows | None = None) -> None:
         self.dimension = dimension
@@ -106,7 +106,7 @@ class Descriptors:
         return kept
 
     def frozen(self) -> Descriptors:
-        """The same rows; what is put or removed later does not change them."""
+        """The same rows; later changes do not touch them."""
         same = Descriptors(self.dimension, self._shared)
         same._blocks = self._blocks
         return same

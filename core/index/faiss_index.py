@@ -62,7 +62,7 @@ class StoredIndex:
 
     @property
     def size_bytes(self) -> int:
-        """What all of it takes."""
+        """Its size in bytes."""
         return sum(array.nbytes for array in self.arrays.values()) + 4 * self.vectors.dimension * len(self.rows)
 
     def portions(self) -> Iterator[tuple[Array, Marks]]:
@@ -162,7 +162,7 @@ class FaissIndex:
         return 0 if self._codes is None else self._codes.learned_at
 
     def stored(self) -> StoredIndex:
-        """What `restored` needs to answer as this index does now, and nothing of removed places. Raises RowDiffers."""
+        """The state from which `restored` answers as this index does now, without removed places. Raises RowDiffers."""
         self._learn()
         rows, live = self._rows, self._rows.live()
         arrays = {
@@ -207,11 +207,11 @@ class FaissIndex:
         return self._flat.count if self._flat is not None else self._codes.count if self._codes is not None else 0
 
     def _learn(self) -> None:
-        """Take in the places that have come; what is compared follows the statistics."""
+        """Take in new places; the compared form follows the statistics."""
         self._follow(self._learner.learn(self._rows))
 
     def _follow(self, changed: Indices) -> None:
-        """What is compared takes in the rows that have come, and those whose standardised form has `changed`."""
+        """The compared form takes in new rows, and those whose standardised form has `changed`."""
         if self._flat is not None:
             held = self._flat.count
             changed = changed[changed < held]

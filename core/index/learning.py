@@ -1,4 +1,4 @@
-"""What an index learns from its places: which of them count, and when the statistics are due."""
+"""Statistics that an index learns from its places: which of them count, and when they are due."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from revisit.core.index.rows import Rows
 Indices = NDArray[np.intp]
 
 _NOTHING_HOLDS = -1
-"""In place of a step: whatever it is, the map is learned anew."""
+"""In place of a step: the map is learned anew."""
 
 _SUMS_STORED_FROM = 32
 """Sums of fewer places of a session are not stored: they take as much room as 4 descriptors, and tell of few places."""
@@ -46,7 +46,7 @@ class SiteLearner:
         self.site: SiteStatistics | None = None
 
     def forget(self, rows: Rows, gone: Indices) -> None:
-        """The places of the rows `gone` were removed: what their sessions taught is learned anew.
+        """The places of the rows `gone` were removed: the statistics of their sessions are learned anew.
 
         One that did not count taught nothing. `rows` still know of which sessions they were.
         """
@@ -65,7 +65,7 @@ class SiteLearner:
         self._set_counts(rows, self._flags()[kept[kept < len(self._counts)]])
 
     def stored(self, live: Indices) -> dict[str, NDArray[np.generic]]:
-        """What it has learned as arrays, for the `live` rows; all rows have been taken in."""
+        """Its statistics as arrays, for the `live` rows; all rows have been taken in."""
         steps = [] if self.site is None else [self._steps[session] for session in self.site.session_means]
         return {
             "counted": self._flags()[live],
@@ -77,7 +77,7 @@ class SiteLearner:
         }
 
     def restore(self, rows: Rows, arrays: Mapping[str, NDArray[Any]]) -> None:
-        """Go on, as a new learner, from what was `stored`. Sums that were not are made again when they are needed."""
+        """Go on, as a new learner, from a `stored` state. Sums that were not are made again when they are needed."""
         self.site = site_of_arrays(arrays, "site_")
         self._set_counts(rows, arrays["counted"])
         if self.site is not None:
@@ -213,7 +213,7 @@ def _sums_of_arrays(arrays: Mapping[str, NDArray[Any]], prefix: str) -> dict[int
 
 
 def learn_plainly(rows: Rows, config: AdaptationConfig) -> SiteStatistics | None:
-    """What `SiteLearner` has learned in the end, from all `rows` at once."""
+    """The final statistics of `SiteLearner`, from all `rows` at once."""
     live = rows.live()
     cells = np.column_stack([rows.sessions[live], np.floor(rows.positions[live] / config.cell).astype(np.int64)])
     counted = live[np.sort(np.unique(cells, axis=0, return_index=True)[1])]

@@ -1,4 +1,4 @@
-"""What an index of places holds, is asked and promises (paper III-E, Eq. 15)."""
+"""The records, queries and contract of an index of places (paper III-E, Eq. 15)."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ MAX_K = 1000
 
 @dataclass(frozen=True)
 class IndexEntry:
-    """What filters know of a stored place: its id, session, ordinal in the session and position (3,) metres."""
+    """A stored place for filters: its id, session, ordinal in the session and position (3,) metres."""
 
     id: int
     session: int

@@ -1,4 +1,4 @@
-"""The descriptors that an index holds, in the order in which they came, with what filters know of their places."""
+"""The descriptors that an index holds, in order of arrival, with the filter fields of their places."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class Rows:
         ordinals: NDArray[np.int64],
         positions: NDArray[np.float64],
     ) -> Rows:
-        """Rows whose descriptors are shared, with what filters know of them (n,), positions (n, 3)."""
+        """Rows whose descriptors are shared, with their filter fields (n,), positions (n, 3)."""
         rows = cls(shared.vectors.shape[1])
         rows.ids, rows.sessions, rows.ordinals, rows.positions = shared.ids, sessions, ordinals, positions
         rows.alive, rows.count = np.ones(len(shared.ids), dtype=bool), len(shared.ids)

@@ -118,7 +118,7 @@ class CodedShortlist:
 
     @classmethod
     def restored(cls, dimension: int, arrays: Mapping[str, NDArray[Any]]) -> CodedShortlist:
-        """What was `stored`."""
+        """From its `stored` state."""
         count, learned_at = arrays["coded"].tolist()
         made = cls(dimension, site_of_arrays(arrays, "coded_"), learned_at)
         faiss.copy_array_to_vector(arrays["centroids"], made._faiss.pq.centroids)

@@ -91,7 +91,7 @@ def factorised(structure: Structure, links: Array64, diagonal: Array64) -> Block
 
 
 def solved(factor: BlockFactor, right: Array64) -> Array64:
-    """What the matrix of a factor takes to `right` (n, 6, k): of the same shape."""
+    """The solution of the factorised system for `right` (n, 6, k): of the same shape."""
     found = np.array(right, order="C")
     _substitute(*factor, found)
     return found
@@ -100,7 +100,7 @@ def solved(factor: BlockFactor, right: Array64) -> Array64:
 def inverse_diagonal(factor: BlockFactor) -> Array64:
     """The blocks (n, 6, 6) on the diagonal of the inverse of the matrix of a factor, which is used up by it.
 
-    Of the inverse only what has a place in the factor is made, from the last group to the first (Takahashi's
+    Of the inverse only blocks with a place in the factor are made, from the last group to the first (Takahashi's
     equations): all that a group needs lies in the groups of its rows.
     """
     structure, count = factor.structure, len(factor.structure.group_of)
@@ -293,7 +293,7 @@ def _forwards(panel: Array64, rows: NDArray[np.int32], found: Array64, first: in
 
 @inner_sums
 def _backwards(panel: Array64, rows: NDArray[np.int32], found: Array64, first: int) -> None:
-    """The same by the transpose, from the last block to the first: what later ones do to it is taken off before."""
+    """The same by the transpose, from the last block to the first: the effect of later ones is taken off before."""
     width = panel.shape[1] // SIDE
     for j in range(width - 1, -1, -1):
         column = SIDE * j
@@ -359,7 +359,7 @@ def _divide_by_triangle(panel: Array64, gains: Array64, summed: Array64) -> None
 
 @inner
 def _gather(structure: Structure, numbers: Array64, rows: NDArray[np.int32], block: Array64) -> None:
-    """Fill in `block` (6, 6 r): the transpose of what the inverse has at these `rows` and the column of the first."""
+    """Fill in `block` (6, 6 r): the transpose of the inverse's blocks at these `rows` and the column of the first."""
     groups, group_of, begins, below, offsets, across, _, _, _ = structure
     g = group_of[rows[0]]
     first, p, panel = groups[g], begins[g], numbers[offsets[g] : offsets[g + 1]].reshape(-1, across[g])

@@ -1,4 +1,4 @@
-"""The normal that the voxels around one let expect, in whole numbers: what `oriented_normals` makes of their places."""
+"""The normal that the voxels around one let expect, in whole numbers: as `oriented_normals` computes it."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ Numbers = NDArray[np.int64]
 FLATNESSES = 7
 """Classes of how flat the surface around a voxel is; the first where there is no other voxel."""
 NORMAL_A, NORMAL_B, VIEW_A, VIEW_B, OCCUPIED, FLATNESS, MEAN = range(7)
-"""Places in what `expect_normal` tells: codes of the normal and of the direction to the middle of the map, how many
+"""Indices of the result of `expect_normal`: codes of the normal and of the direction to the middle of the map, how many
 voxels are beside, class of flatness, and from here on the sum (3) of the places around in parts of FIXED, and that of
 their weights.
 """

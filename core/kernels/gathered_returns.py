@@ -1,4 +1,4 @@
-"""What is gathered of the returns of each voxel, scan after scan: records that grow as voxels are filled."""
+"""Sums over the returns of each voxel, scan after scan: records that grow as voxels are filled."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class GatheredReturns:
 
     @property
     def records(self) -> NDArray[np.float64]:
-        """What was gathered so far (n, RECORD), as `kernels.elastic_points.insert_returns` says."""
+        """The records so far (n, RECORD), as in `kernels.elastic_points.insert_returns`."""
         return self._records[: self._size]
 
     def insert(self, points: NDArray[np.float32], origin: NDArray[np.float32], scan: int) -> None:

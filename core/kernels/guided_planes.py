@@ -44,9 +44,9 @@ from revisit.core.kernels.plane_guesses import (
 from revisit.core.kernels.range_coder import Coder, code_large
 
 LONE = 4
-"""A normal without a voxel around, mostly what rounding left of one return, is written in so many times the unit."""
+"""A normal without a voxel around, mostly the rounding of one return, is written in so many times the unit."""
 _GUESSES = 2
-"""The last of the ways: their models tell how far what is asked lies from a guess."""
+"""The last of the ways: their models tell the distance of the value from a guess."""
 _TURNS = 9
 _SIDE = 32
 _FEW = 8
@@ -268,7 +268,7 @@ def _code_number(
 
 @inlined
 def _ask(at: Numbers, scratch: Scratch, slot: int, asked: int, sign: int) -> None:
-    """Say in `at` which models are asked: of the last ones those of how far what is `asked` lies beyond a guess."""
+    """Say in `at` which models are asked: of the last ones those of the distance of the `asked` value from a guess."""
     for k in range(_OTHER):
         at[k] = scratch.base[k] + slot
     for k in range(_GUESSES):

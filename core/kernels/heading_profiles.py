@@ -49,7 +49,7 @@ def plan_profiles(
     places: NDArray[np.float64], weight: NDArray[np.float64], headings: int, bins: int, spacing: float
 ) -> NDArray[np.float64]:
     """Weighted counts (headings, bins) along headings over half a turn: the other half mirrors them."""
-    found = np.zeros((headings, bins + 2))  # a bin at each end for what is outside
+    found = np.zeros((headings, bins + 2))  # a bin at each end for the outside
     x, y, columns = places[:, 0].copy(), places[:, 1].copy(), np.empty((2, len(places)), dtype=np.int32)
     for row in range(0, headings, 2):  # two at a time: an addition need not wait for the one before
         _fill_columns(x, y, row * np.pi / headings, bins, spacing, columns[0])
@@ -65,7 +65,7 @@ def plan_profiles(
 def _fill_columns(
     x: NDArray[np.float64], y: NDArray[np.float64], angle: float, bins: int, spacing: float, columns: NDArray[np.int32]
 ) -> None:
-    """The bins of places (x, y) along a heading, counted from 1; 0 and `bins` + 1 for what is outside.
+    """The bins of places (x, y) along a heading, counted from 1; 0 and `bins` + 1 are outside.
 
     Without a branch, so that many are done at once.
     """

@@ -1,4 +1,4 @@
-"""What the compiler keeps of kernels that came from its cache, and hardly ever asks for (docs/decisions/0289)."""
+"""Intermediate code of kernels from the compiler's cache, which is hardly ever needed (docs/decisions/0289)."""
 
 from __future__ import annotations
 

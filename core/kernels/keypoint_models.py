@@ -1,4 +1,4 @@
-"""How the models of coded keypoints lie one behind the other, and what is near: of use without compiled code, too."""
+"""The layout of the models of coded keypoints, and neighbourhoods: of use without compiled code, too."""
 
 from __future__ import annotations
 

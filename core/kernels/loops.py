@@ -41,7 +41,7 @@ def sums(function: Function) -> Function:
 
 
 def inner(function: Function) -> Function:
-    """As `loop`, for what only loops call: without what Python would call it by, a sixth of the compiler's work.
+    """As `loop`, for functions that only loops call: without a Python wrapper, a sixth of the compiler's work.
 
     From Python it runs as it is written.
     """
@@ -54,7 +54,7 @@ def inner_sums(function: Function) -> Function:
 
 
 def inlined(function: Function) -> Function:
-    """As `inner`, made a part of each loop that calls it: for what a loop does at each turn.
+    """As `inner`, made a part of each loop that calls it: for the work of each turn.
 
     It keeps its own rounding. What is to be rounded as the `fast` loop around it is inlined by numba itself
     (`inline="always"`).

@@ -1,4 +1,4 @@
-"""Occupied voxels as a stream of bits: an octree whose branches are guessed from what is known around them."""
+"""Occupied voxels as a stream of bits: an octree whose branches are guessed from coded neighbours."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _STEPS = (53685, 43977, 36025)  # of RANKS: powers of 1 / g, g^4 = g + 1, so tha
 class Thinning(NamedTuple):
     """Which voxels are kept of a surface: those of a rank below `below`, seldom others; `low` is their lowest voxel.
 
-    Ranks are spread evenly over space, whatever part of them is kept.
+    Any part of the ranks is spread evenly over space.
     """
 
     low: tuple[int, int, int]

@@ -12,7 +12,7 @@ Array64 = NDArray[np.float64]
 NORMAL_PRIOR = 0.05
 SWEEPS = 12
 _LANES = 64
-NEGLIGIBLE = 1e-18  # of what is squared: axes are right within a billionth
+NEGLIGIBLE = 1e-18  # of the squared values: axes are right within a billionth
 
 
 def oriented_normals(covariances: Array64, views: Array64) -> NDArray[np.float32]:
@@ -80,7 +80,7 @@ def _load(
 
 @inlined
 def _clear_diagonal(matrix: Array64, count: np.uint64) -> int:
-    """Make what is negligible beside the diagonals zero, so that it is not turned any more; return of how many."""
+    """Make entries zero that are negligible beside the diagonals; return of how many."""
     found = 0
     for k in range(count):
         aside = matrix[3, k] ** 2 + matrix[4, k] ** 2 + matrix[5, k] ** 2

@@ -17,7 +17,7 @@ def plane_distance(
 ) -> Array:
     """Signed distances (m,) of `queries` (m, 3) to the planes of their neighbours, weighted as in Eq. 3.
 
-    `indices` and `squared` (m, K) are what `nearest_points` gives; without any neighbour the distance is 0.
+    `indices` and `squared` (m, K) come from `nearest_points`; without any neighbour the distance is 0.
     """
     out = np.zeros(len(queries), dtype=np.float32)
     for m in range(len(queries)):

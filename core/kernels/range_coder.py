@@ -1,6 +1,6 @@
 """A binary arithmetic coder with adaptive models: the same calls write and read, so that the two cannot disagree.
 
-All arithmetic is on integers: what one machine writes every other one reads.
+All arithmetic is on integers: every machine reads the stream of every other one.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ def start(data: NDArray[np.uint8], reads: bool) -> Coder:
 
 @loop
 def finish(coder: Coder, data: NDArray[np.uint8]) -> int:
-    """Write what is left of the interval; returns how many bytes of `data` are used, or would have been."""
+    """Write the rest of the interval; returns how many bytes of `data` are used, or would have been."""
     if coder[_READS] == 0:
         value = coder[_LOW] + (1 << 23)
         if value > coder[_HIGH]:
@@ -59,7 +59,7 @@ def finish(coder: Coder, data: NDArray[np.uint8]) -> int:
 
 
 def position(coder: Coder) -> int:
-    """How many bytes are written or read: after the last bit of what `finish` wrote, just as many as it holds."""
+    """How many bytes are written or read: after the last bit of `finish`, the exact number."""
     return int(coder[_AT])
 
 

@@ -55,7 +55,7 @@ def _without_room(slots: NDArray[np.int32], lowest: Array64, count: int) -> Seen
 
 @loop
 def _enter_again(slots: NDArray[np.int32], lowest: Array64, kept: NDArray[np.int32], kept_lowest: Array64) -> None:
-    """Enter what is entered in `slots` into the empty table of `kept`."""
+    """Copy the entries of `slots` into the empty table of `kept`."""
     for n in range(len(slots)):
         x, y = int(slots[n, 0]), int(slots[n, 1])
         if x != _NOWHERE:

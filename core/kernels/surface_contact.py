@@ -1,4 +1,4 @@
-"""Where one surface lies on another, and what that says of an alignment (paper III-E, end)."""
+"""Contact of one surface with another, as evidence of an alignment (paper III-E, end)."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def contact_sums(
     points: Array64, normals: Array64, standing: int, T_other_points: Array64, patches: Patches, edge: float,
     reach: float, plane_distance: float, facing_alike: float, slots: NDArray[np.int32], column_edge: float,
 ) -> tuple[Counts, float, Array64]:  # fmt: skip
-    """What a surface that is moved by `T_other_points` (4, 4) has in common with another one.
+    """Contact of a surface that is moved by `T_other_points` (4, 4) with another one.
 
     Numbers (3,): of its first `standing` points those in columns that the other has seen (`slots`), of these those that
     touch, as in `touching_rows`, and of all its points those that touch; the sum of the squared distances (m^2) of

@@ -26,7 +26,7 @@ def best_two_point_pose(
 ) -> Array64:
     """The pose (yaw, x, y) of two correspondences with the most votes, and their number; all zero where there is none.
 
-    source (n, 2) and target (n, 2) are the corresponding points in metres, yaws (n,) what each implies in radians. A
+    source (n, 2) and target (n, 2) are the corresponding points in metres, yaws (n,) the yaw of each in radians. A
     pair is tried where its two distances differ by at most `tolerance`, and both yaws by less than `yaw_tolerance` from
     that of the pair. Of poses with equally many votes the first counts.
 
@@ -59,7 +59,7 @@ def _vote(
     """Fill `best` (5,), which is 0: cosine and sine of the yaw, x, y, votes. `lengths` (2, n) is for its use.
 
     pairs (6, n): source and target, cosine and sine of the yaw of each correspondence; voting (6, 2 n) the same in the
-    order of the yaws, twice; about (4, 2 n) the first of these. Most poses are left out after a count of who is near in
+    order of the yaws, twice; about (4, 2 n) the first of these. Most poses are left out after a count of those near in
     single precision, a little farther than `tolerance`: at least as many as vote.
     """
     reach, wide = tolerance * tolerance, np.float32((tolerance + _BLUR) ** 2)

@@ -1,4 +1,4 @@
-"""How far a place has looked in each direction, and what of another place stands before that."""
+"""The range of a place in each direction, and points of another place that stand before it."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def looked_through(
     anything.
 
     `image` is that of `nearest_ranges`, `around` that of `nearest_around`. Points nearer than `near` or farther than
-    `far` do not count; behind a point by more than `margin` lies what was seen through it.
+    `far` do not count; behind a point by more than `margin` lies the surface seen through it.
     """
     through, confirmed, T = 0, 0, T_view_points
     for n in range(len(points)):

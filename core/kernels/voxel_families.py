@@ -23,7 +23,7 @@ class VoxelFamilies(NamedTuple):
     sums of coordinates times constants: the slot of a neighbour is a sum away.
 
     For use while one voxel is coded: near (27,), rows of neighbours, and last which of the six voxels that share a face
-    with it exist, a bit each, before it along x, y, z and then behind; ranks (26,), by what the rows are sorted.
+    with it exist, a bit each, before it along x, y, z and then behind; ranks (26,), the sorting key of the rows.
     """
 
     voxels: Whole
@@ -52,7 +52,7 @@ def _neighbours() -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
 
 _RANK, _REACHED = _neighbours()
 _FACE = np.array([1, 2, 4, 32, 16, 8, *[0] * 20], dtype=np.uint8)
-"""The bit of each neighbour in what `beside` tells."""
+"""The bit of each neighbour in `beside`."""
 _ONES = np.array([number.bit_count() for number in range(256)], dtype=np.uint8)
 _LOWEST = np.array([max((number & -number).bit_length() - 1, 0) for number in range(256)], dtype=np.uint8)
 

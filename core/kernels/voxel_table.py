@@ -1,4 +1,4 @@
-"""A hash table of voxels with chains: each voxel is found, whatever else has its slot.
+"""A hash table of voxels with chains: each voxel is found, also where others have its slot.
 
 Voxels of one column (x, y) lie side by side in the table, so that a search through neighbours touches few cache lines.
 """

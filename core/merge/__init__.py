@@ -1,9 +1,9 @@
 """Merging: neural maps of submaps that are placed to each other become one, and whether two of them may be at all.
 
 candidates  which submaps of two maps may show the same place
-joining     what the loops between two groups of sessions say of joining them
-overlap     what the surfaces of two placed groups say of each other, and the verdict on joining them
-changes     what vanished and what appeared between two days
+joining     whether the loops between two groups of sessions allow joining them
+overlap     agreement of the surfaces of two placed groups, and the verdict on joining them
+changes     things that vanished or appeared between two days
 fused       one neural map out of several
 """
 

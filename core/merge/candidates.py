@@ -34,7 +34,7 @@ def joining_candidates(
 ) -> Candidates:
     """The `k` likest of the other map for every place of either, descriptors (n, d) and (m, d) of `sessions`.
 
-    Both are standardised by what they have in common (docs/decisions/0120), as one map of both would be. A pair is
+    Both are standardised by common statistics (docs/decisions/0120), as one map of both would be. A pair is
     there whichever of the maps asks for it. `storeys` (n,), (m,) are numbers, -1 where unknown: places on different
     ones are no pair, and take no other's place.
     """

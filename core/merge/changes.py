@@ -1,4 +1,4 @@
-"""What vanished and what appeared between two days: points that one day has where the other day looked through.
+"""Changes between two days: points that one day has where the other day looked through.
 
 A point of one day that stands in the free space of the other, and that no submap of the other has, is a change. Single
 points are noise of the surface; a thing is a cluster of them.
@@ -49,7 +49,7 @@ class ChangedThing:
 
 
 def changes_between(pairs: Sequence[tuple[PlacedMap, PlacedMap]]) -> list[ChangedThing]:
-    """What changed from the first day to the second, the largest first; each pair has a submap of both days."""
+    """Changes from the first day to the second, the largest first; each pair has a submap of both days."""
     found = [
         *_things(Change.VANISHED, pairs),
         *_things(Change.APPEARED, [(second, first) for first, second in pairs]),

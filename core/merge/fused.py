@@ -77,7 +77,7 @@ def _fitted(
 
 
 def _shared(placed: Sequence[PlacedMap]) -> tuple[ImplicitMapConfig, DecoderWeights | None, float]:
-    """What all of the maps share: parameters, decoder and scene scale."""
+    """The common parameters, decoder and scene scale of the maps."""
     if not placed:
         raise BadField("there is no map to merge", field="maps")
     first = placed[0].neural_map

@@ -1,4 +1,4 @@
-"""What the loops between two groups of sessions say of joining them, beyond the poses that they lead to."""
+"""Evidence of the loops between two groups of sessions for joining them, beyond poses."""
 
 from __future__ import annotations
 

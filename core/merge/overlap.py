@@ -1,4 +1,4 @@
-"""What the surfaces of two placed groups of submaps say of each other, beyond the loops that placed them.
+"""Agreement of the surfaces of two placed groups of submaps, beyond the loops that placed them.
 
 Wrong loops that agree with each other look like right ones to any optimiser of poses. The surfaces know better: where
 two groups truly overlap, the points of one lie on the surfaces of the other, and none of them stands where the other
@@ -35,7 +35,7 @@ class MergeRefusal(StrEnum):
 
 @dataclass(frozen=True)
 class MergeLimits:
-    """What evidence must reach. Lengths in metres.
+    """Thresholds of the evidence. Lengths in metres.
 
     loops that agree; the way that they span; rival_share, how many loops a competing alignment may have compared with
     the chosen one; the common points; the median distance of common points from the other's surface; the share of
@@ -58,7 +58,7 @@ class MergeLimits:
 
 @dataclass(frozen=True)
 class MergeEvidence:
-    """What speaks for joining two placed groups.
+    """The evidence for joining two placed groups.
 
     common_points lie within a resolution of the other group's; residual_m is the median and far_share the share beyond
     half a resolution of their distance from its surface; seen_through_share is the larger of both directions' shares of

@@ -22,7 +22,7 @@ from revisit.core.surface import extract_surface
 Array = NDArray[np.float32]
 
 MARGIN_VOXELS = 6
-"""Around a tile, what decides on its surface: a voxel is meshed by the neural points within less than three voxels."""
+"""The margin that decides on a tile's surface: a voxel is meshed by neural points within less than three voxels."""
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""What is computed of something immutable, once: of a place it serves every pair that the place is in."""
+"""Cached results of an immutable object: those of a place serve every pair that it is in."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ Result = TypeVar("Result")
 
 
 class Keeping:
-    """Something immutable that keeps what was computed of it for as long as it lives. A pickle leaves that out."""
+    """An immutable object that caches results computed from it. A pickle leaves the cache out."""
 
     @cached_property
     def _kept(self) -> dict[Hashable, Any]:
@@ -31,5 +31,5 @@ class Keeping:
         return result
 
     def __getstate__(self) -> dict[str, Any]:
-        """All but what is kept."""
+        """The state without the cache."""
         return {name: value for name, value in self.__dict__.items() if name != "_kept"}

@@ -10,7 +10,7 @@ least_squares  Levenberg and Marquardt, graduated non-convexity
 heading_bias   odometry whose heading turns steadily, by loops within its session
 steady_faults  scale, slope and heading of odometry, by loops with other sessions
 broken_steps   slips, jumps, turns and tilts of odometry, by loops on both sides
-faults         what a session is told of its odometry, and what mends it
+faults         faults of a session's odometry, and their mending
 optimisation   the most likely poses, and which loops they rest on
 normal_equations  errors and derivatives of many edges at once, and their factorisation
 warm_start     one loop more on poses that were found before

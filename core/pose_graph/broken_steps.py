@@ -34,7 +34,7 @@ LEAST_LOOPS, LEAST_PLACES = 5, 2
 """On each side of a fault: loops that hold, and the places that show them."""
 
 MOST_M, MOST_RAD = 15.0, float(np.radians(45.0))
-"""What is farther off is more likely another place than a fault of odometry."""
+"""A larger error is more likely another place than a fault of odometry."""
 
 EXPLAINED = 0.8
 """The share of the places that loops show which must hold once the steps are mended."""
@@ -84,7 +84,7 @@ def shows_a_fault(loop: LoopEdge, T_map_submap: dict[str, Array64]) -> bool:
 
 @dataclass(frozen=True)
 class _Held:
-    """What graduated non-convexity over steps and loops left: poses by session, broken steps, loops that hold, and the
+    """Result of graduated non-convexity over steps and loops: poses by session, broken steps, loops that hold, and the
     share of all places that these show.
     """
 
@@ -218,7 +218,7 @@ def _spread(stated: Array64, T_first_last: se3.Matrix4) -> Array64:
 
 
 def _kind(correction: Array64, true: se3.Matrix4) -> tuple[FaultKind, float]:
-    """What a fault is, by the tangent (6,) that mends it in the frame of its end, the true motion, and by how much."""
+    """Kind and size of a fault, by the tangent (6,) that mends it in the frame of its end, and the true motion."""
     turn, shift = correction[3:], correction[:3]
     if np.linalg.norm(turn) > np.radians(2.0):
         upright = abs(turn[2]) >= 0.7 * np.linalg.norm(turn)
@@ -244,9 +244,9 @@ def _is_believed(event: _Event, events: Sequence[_Event]) -> bool:
 
 
 def _come_back(one: _Event, other: _Event) -> bool:
-    """Whether two faults leave the sessions beyond both where odometry has them: what lies between is misplaced.
+    """Whether two faults leave the sessions beyond both where odometry has them: only the stretch between is misplaced.
 
-    A fault of another session moves what lies beside it the other way.
+    A fault of another session moves its surroundings the other way.
     """
     same = one.mending.fault.session == other.mending.fault.session
     both = replace(one, correction=one.correction + (1.0 if same else -1.0) * other.correction)

@@ -1,4 +1,4 @@
-"""Faults of odometry that loops show: what a session is told of, and what is taken out before its loops are judged."""
+"""Faults of odometry that loops show: told to the session, and taken out before its loops are judged."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Array64 = NDArray[np.float64]
 
 
 class FaultKind(StrEnum):
-    """What odometry did.
+    """The kinds of faults.
 
     At once: way lost or made up (SLIP), a jump aside (JUMP), a wrong turn (TURN) or tilt (TILT). Throughout: lengths
     (SCALE), climb (SLOPE) or heading (HEADING) wrong by so much a metre.
@@ -36,7 +36,7 @@ class OdometryFault:
     """A fault of a session's odometry, taken out before its loops were judged.
 
     first and last: the submaps between which it lies; loops of neither side tell where. amount: metres of a slip or
-    jump, radians of a turn or tilt, metres or radians a metre of what goes on throughout; sigma is its standard
+    jump, radians of a turn or tilt, metres or radians a metre of a steady fault; sigma is its standard
     deviation. loops: how many speak for it.
     """
 
@@ -51,7 +51,7 @@ class OdometryFault:
 
 @dataclass(frozen=True)
 class Mending:
-    """A fault with what mends it: the motions (n, 4, 4) of the steps from submap `fault.first` on, and the variances
+    """A fault with its mending: the motions (n, 4, 4) of the steps from submap `fault.first` on, and the variances
     (n, 6) that they have beyond those of the odometry.
     """
 

@@ -20,13 +20,13 @@ Array64 = NDArray[np.float64]
 _UPPER = np.triu_indices(6)
 _HALF_ANGLES = np.diag([1.0, 1.0, 1.0, 0.5, 0.5, 0.5])
 _LARGEST = 1e15
-"""No number of an edge is as large: what is would overflow where it is squared."""
+"""No number of an edge is as large: a larger one would overflow where it is squared."""
 
 _UNKNOWN = np.diag([1e8] * 3 + [1e4] * 3)
 """Covariance of a step that no edge states, m^2 and rad^2: it pulls at nothing."""
 
 _OUT_OF_PLANE = 1e-6
-"""Variance of what an SE2 edge does not say: z, roll and pitch, m^2 and rad^2."""
+"""Variance of z, roll and pitch, which an SE2 edge does not state, m^2 and rad^2."""
 
 
 def write_g2o(graph: PoseGraph, T_map_submap: dict[str, Array64]) -> str:

@@ -28,7 +28,7 @@ _ROUNDING = 1e-9
 
 
 def loop_covariance(measured: Array64 | None) -> Array64:
-    """The covariance (6, 6) to weigh a loop with: what was measured with a floor, or an assumed one."""
+    """The covariance (6, 6) to weigh a loop with: the measured one with a floor, or an assumed one."""
     return loop_covariances([measured])[0]
 
 
@@ -128,7 +128,7 @@ class LoopEdge:
     """A loop: T_match_query (4, 4) maps the frame of submap `query` into that of submap `match`.
 
     covariance (6, 6) of its tangent (x, y, z, rx, ry, rz) in the match frame, as verification states it. A loop from
-    overlapping windows shares information with its neighbours; `independent_share` 0..1 is what it adds on its own.
+    overlapping windows shares information with its neighbours; `independent_share` 0..1 is its own contribution.
     """
 
     name: str

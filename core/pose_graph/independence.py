@@ -18,7 +18,7 @@ _PAIRS_AT_ONCE = 1 << 18
 def weighed(graph: PoseGraph, window_m: float) -> PoseGraph:
     """The graph with the `independent_share` of each of its loops, whose submaps cover `window_m` metres each.
 
-    Two loops between the same sessions share what their windows share at both ends; a loop that shares as much with
+    Two loops between the same sessions share the overlap of their windows at both ends; a loop that shares as much with
     others as a whole one is worth a half. A far loop shares nothing.
     """
     groups: dict[tuple[str, str], list[int]] = {}
@@ -50,13 +50,13 @@ def _shares(graph: PoseGraph, loops: list[LoopEdge], window_m: float) -> Array64
 
 
 def _of_rows(rows: slice, matches: Array64, queries: Array64, window_m: float) -> Array64:
-    """The shares of some of the loops: one by how many say what they say, themselves among them."""
+    """The shares of some of the loops: one over the number of loops that say the same."""
     common = _overlap(matches[rows], matches, window_m) * _overlap(queries[rows], queries, window_m)
     return np.asarray(1.0 / common.sum(axis=1))
 
 
 def _overlap(positions: Array64, others: Array64, window_m: float) -> Array64:
-    """What windows at positions (n, 3) share with those at others (m, 3): 0 to 1, (n, m)."""
+    """The overlap of windows at positions (n, 3) with those at others (m, 3): 0 to 1, (n, m)."""
     return np.asarray(np.maximum(0.0, 1.0 - cdist(positions, others) / window_m))
 
 

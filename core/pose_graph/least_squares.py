@@ -21,7 +21,7 @@ TOLERANCE = 1e-9
 """Of the cost, relative and absolute."""
 
 ROUGHLY = 1e-4
-"""Of the cost, relative, of what is a start for the next: Cauchy weights, rounds of graduated non-convexity."""
+"""Of the cost, relative, where the result is but a start: Cauchy weights, rounds of graduated non-convexity."""
 
 MAX_SETTLING = 6
 SETTLED_STEP = 1e-7
@@ -34,10 +34,10 @@ _GROWTH, _MAX_ROUNDS, _SETTLED_WEIGHT = 1.4, 100, 1e-4
 """Of graduated non-convexity, as Yang et al. have them."""
 _DAMPING, _MOST_DAMPING, _DAMPING_FACTOR = 1e-5, 1e5, 10.0
 _LEAST_FIDELITY = 1e-3
-"""Of what a step should save, the share that it must."""
+"""The share of the predicted saving that a step must reach."""
 
 Kernel = Callable[[Array64], tuple[Array64, Array64]]
-"""What edges cost (e,) that are squared distances (e,) away, and what weight (e,) they have there."""
+"""Costs (e,) and weights (e,) of edges at squared distances (e,)."""
 
 
 def squares(squared: Array64) -> tuple[Array64, Array64]:
@@ -46,7 +46,7 @@ def squares(squared: Array64) -> tuple[Array64, Array64]:
 
 
 def cauchy(squared: Array64) -> tuple[Array64, Array64]:
-    """Cauchy's kernel with its scale at a distance of 1: what is far off pulls little."""
+    """Cauchy's kernel with its scale at a distance of 1: outliers pull little."""
     return np.log1p(squared), 1.0 / (1.0 + squared)
 
 
@@ -126,14 +126,14 @@ def graduated(edges: Edges, known: int, anchor: int, start: Array64) -> Array64:
 
 
 def _cost(edges: Edges, poses: Array64, kernel: Kernel) -> tuple[Array64, float, Array64]:
-    """The errors (e, 6) of all edges, half of what they cost together, and their weights (e,)."""
+    """The errors (e, 6) of all edges, half of their total cost, and their weights (e,)."""
     errors = edges.errors(poses)
     costs, weights = kernel(edges.squared(errors))
     return errors, 0.5 * float(costs.sum()), weights
 
 
 def _step(equations: Equations, anchor: int, poses: Array64, damping: float) -> tuple[Array64, float]:
-    """The poses after a damped step, and what it should save; the same poses where none can be computed."""
+    """The poses after a damped step, and its predicted saving; the same poses where none can be computed."""
     try:
         step = _solved(equations, anchor, damping)
     except RuntimeError:
@@ -145,7 +145,7 @@ def _step(equations: Equations, anchor: int, poses: Array64, damping: float) -> 
 def _solved(equations: Equations, anchor: int, damping: float) -> Array64:
     """The step (n, 6) towards the least cost; the anchor stays where it is.
 
-    What pulls at the anchor counts: all pulls together are none, and a part of them would move the whole map.
+    The pull at the anchor counts: all pulls together are none, and a part of them would move the whole map.
     """
     step = equations.factorised(anchor, damping).solve(-equations.gradient)
     step[anchor] = 0.0

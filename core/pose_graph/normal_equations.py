@@ -33,7 +33,7 @@ ANCHOR_INFORMATION = 1e8
 class Edges:
     """Measured motions between poses: from pose `first` (e,) to pose `second` (e,), by row.
 
-    T_second_first (e, 4, 4) is the inverse of what was measured; information (e, 6, 6) that of the tangent
+    T_second_first (e, 4, 4) is the inverse of the measured motion; information (e, 6, 6) that of the tangent
     (x, y, z, rx, ry, rz) in the frame of the second pose.
     """
 
@@ -75,7 +75,7 @@ class Edges:
 
     @classmethod
     def of_loops(cls, loops: Sequence[LoopEdge], rows: Mapping[Node, int]) -> Edges:
-        """Some loops, in their order; each weighs what it adds on its own."""
+        """Some loops, in their order; each has the weight of its independent share."""
         poses = np.reshape([loop.T_match_query for loop in loops], (-1, 4, 4))
         stated = np.reshape([loop.covariance for loop in loops], (-1, SIDE, SIDE))
         shares = np.reshape([loop.independent_share for loop in loops], (-1, 1, 1))
@@ -207,7 +207,7 @@ class Elimination:
 
 @dataclass(frozen=True)
 class Factorisation:
-    """Normal equations, factorised: what any right side would move. `places` (n,): of the poses, as eliminated."""
+    """Normal equations, factorised, to be solved for any right side. `places` (n,): of the poses, as eliminated."""
 
     places: Rows
     factor: BlockFactor

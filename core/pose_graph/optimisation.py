@@ -38,7 +38,7 @@ MAX_MENDINGS = 3
 """How often broken steps are sought again: a mended one may show others."""
 
 FAULT_PRICE = 2 * GATE
-"""What a fault of odometry must explain: as much as two loops that are set aside."""
+"""The least that a fault of odometry must explain: as much as two loops that are set aside."""
 
 MAX_VOUCHED = 100
 """Loops, at most, that are held against the covariances of the poses."""
@@ -60,7 +60,7 @@ class Robustness(StrEnum):
 
 
 class LoopState(StrEnum):
-    """What the graph says of a loop."""
+    """The verdict of the graph on a loop."""
 
     IN_MAP = "IN_MAP"
     SET_ASIDE = "SET_ASIDE"
@@ -76,7 +76,7 @@ class OptimisedGraph:
     poses, NaN where its sessions share no frame. covariances (n, 6, 6) of the poses of each session, of the tangent
     (x, y, z, rx, ry, rz) in the submap's frame, metres and radians, as of the first submap of the component, which is
     held fast; NaN where they are too large to be computed. chi2, the squared errors of all steps and of the loops in
-    the map; degrees_of_freedom, what it is to be compared with. faults: those of the odometry that were mended before.
+    the map; degrees_of_freedom, its expectation. faults: those of the odometry that were mended before.
     """
 
     T_map_submap: dict[str, Array64]
@@ -144,7 +144,7 @@ def _mended(graph: PoseGraph, mendings: Sequence[Mending]) -> PoseGraph:
 
 
 def _steady(graph: PoseGraph, answer: OptimisedGraph) -> list[Mending]:
-    """What is wrong throughout with sessions that share a frame."""
+    """Steady faults of sessions that share a frame."""
     found: list[Mending] = []
     supported = supported_loops(graph)
     for group in answer.components:
@@ -211,7 +211,7 @@ class Trusted:
 
     @classmethod
     def of(cls, graph: PoseGraph, sets: list[ConsistentSet], within: LoopsWithin) -> Trusted:
-        """What consistency between sessions and support within them say of the loops of the graph."""
+        """The loops of the graph by consistency between sessions and support within them."""
         between = frozenset[int]().union(*(one.loops for one in sets))
         in_one = {n for n, loop in enumerate(graph.loops) if loop.match.session == loop.query.session}
         spoken_for = frozenset(itertools.chain.from_iterable(within.speakers.values()))
@@ -282,7 +282,7 @@ class Problem:
         return of_all
 
     def degrees_of_freedom(self, kept: set[int]) -> int:
-        """What the squared errors of the steps and the `kept` loops are to be compared with."""
+        """The degrees of freedom of the steps and the `kept` loops."""
         return 6 * (len(kept) - len(self.trajectories) + 1)
 
     def factorised(self, poses: Array64, kept: set[int]) -> Factorisation:
@@ -420,7 +420,7 @@ def _distance(problem: Problem, poses: Array64, known: Factorisation, number: in
     edge = problem.edges.chosen(np.array([row]))
     first, second = int(edge.first[0]), int(edge.second[0])
     back = se3.adjoint(se3.inverse(poses[second]) @ poses[first])
-    moving = np.zeros((len(poses), 6, 6))  # what moves the second pose, as seen from the first
+    moving = np.zeros((len(poses), 6, 6))  # the motion of the second pose, as seen from the first
     moving[first], moving[second] = -back.T, np.eye(6)
     moved = known.solve(moving.reshape(-1, 6)).reshape(moving.shape)
     covariance = moved[second] - back @ moved[first] + np.linalg.inv(edge.information[0])
@@ -429,7 +429,7 @@ def _distance(problem: Problem, poses: Array64, known: Factorisation, number: in
 
 
 def _regated(problem: Problem, poses: Array64) -> tuple[Array64, set[int]]:
-    """Whatever fits the poses by now is in the map, also loops that agreed with no others before."""
+    """Every loop that fits the poses by now is in the map, also loops that agreed with no others before."""
     kept = _within(problem, poses, set(problem.loops), GATE)
     edges = problem.graph(kept)
     return settled(edges, problem.anchor, minimise(edges, problem.anchor, poses)), kept

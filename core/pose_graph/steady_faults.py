@@ -3,7 +3,7 @@
 Two loops with another session say how far apart their submaps lie, and so does the odometry between them. Where it
 says too little or too much by the same share all along the way, it is a scale; by the same rise a metre, a slope; by
 the same turn a metre, a heading (the one that loops within a session show is `heading_bias`). Which of two sessions is
-wrong no loop between them tells: the one that gives the frame is believed, or what most sessions agree on.
+wrong no loop between them tells: the one that gives the frame is believed, or most sessions.
 """
 
 from __future__ import annotations
@@ -42,9 +42,9 @@ STEADY = 0.5
 
 @dataclass(frozen=True)
 class _Rates:
-    """What one session is off by a metre as others have it (3,), as KINDS; zero where it is not steady.
+    """The error of one session a metre as others have it (3,), as KINDS; zero where it is not steady.
 
-    sigma (3,) is what that is off by; loops, how many say so.
+    sigma (3,) is its standard deviation; loops, how many say so.
     """
 
     rates: Array64
@@ -56,7 +56,7 @@ _NONE = _Rates(np.zeros(3), np.zeros(3), 0)
 
 
 def steady_faults(graph: PoseGraph, loops: Collection[int], group: Sequence[str]) -> list[Mending]:
-    """What is wrong throughout with sessions that share a frame, the first of which gives it.
+    """Steady faults of sessions that share a frame, the first of which gives it.
 
     `loops`, by number, are those that may be right: within these sessions, and with others beside them that agree.
     """
@@ -104,7 +104,7 @@ def _joins(loop: LoopEdge, session: str, other: str) -> bool:
 
 
 def _pair_rates(loops: Sequence[LoopEdge], first: Trajectory, second: Trajectory) -> tuple[Array64, NDArray[np.int64]]:
-    """What pairs of loops, each with its query in `second`, say of its odometry: rates (n, 3) and the submap (n,)."""
+    """Faults of the odometry of `second` by pairs of loops with their query in it: rates (n, 3) and the submap (n,)."""
     ends = np.array([(one.match.ordinal, one.query.ordinal) for one in loops])
     measured = first.T_odom_submap[ends[:, 0]] @ np.stack([one.T_match_query for one in loops])
     apart = ends[None, :, 1] - ends[:, None, 1]
@@ -124,7 +124,7 @@ def _pair_rates(loops: Sequence[LoopEdge], first: Trajectory, second: Trajectory
 
 
 def _mendings(track: Trajectory, found: _Rates, believed: Array64) -> list[Mending]:
-    """What mends a session, one fault of each kind; the first has the motions, the others nothing beyond them."""
+    """The mending of a session, one fault of each kind; the first has the motions, the others nothing beyond them."""
     rates = found.rates - believed
     rates = np.where(np.abs(rates) >= LEAST, rates, 0.0)
     kinds = np.flatnonzero(rates)

@@ -35,7 +35,7 @@ large, and the circles that close best show it.
 
 @dataclass(frozen=True)
 class LoopsWithin:
-    """Loops within sessions, by their place in the graph: what the odometry allows, and what others support of it.
+    """Loops within sessions, by index in the graph: those that odometry allows, and of these the supported ones.
 
     Of a session with more supported loops than submaps, some speak for others that agree with them: wrong loops join
     everything with everything, and the equations of thousands of them are dense (docs/decisions/0274). `speakers` has,
@@ -144,7 +144,7 @@ def places(circles: Circles, rows: NDArray[np.int64]) -> NDArray[np.int64]:
 
 
 def votes(places: NDArray[np.int64]) -> Array64:
-    """What each of some members of `places` (n,) counts: those of a place have one vote together."""
+    """The votes of some members of `places` (n,): those of a place have one vote together."""
     return np.asarray(1.0 / np.bincount(places)[places])
 
 

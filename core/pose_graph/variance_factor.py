@@ -1,7 +1,7 @@
 """How much too large a graph states its uncertainties, from small circles: the variance of unit weight of geodesy.
 
 Two loops whose ends lie beside each other close a circle with the few steps between them. By how much it fails to close
-can be held against what its four sides state. Classic graphs state a metre and a radian for steps that err by
+can be held against the covariances of its four sides. Classic graphs state a metre and a radian for steps that err by
 millimetres: then a wrong loop costs less than any gate, and the map crumples under it.
 """
 
@@ -46,7 +46,7 @@ LEAST = 1e-3
 
 
 def variance_factor(graph: PoseGraph) -> float:
-    """What to multiply all covariances of the graph with: 1 unless they are more than `SLACK` times too large.
+    """The factor for all covariances of the graph: 1 unless they are more than `SLACK` times too large.
 
     Places vote, not circles: neighbours that take one place for another repeat one measurement, and circles close.
     """

@@ -1,4 +1,4 @@
-"""One loop more: the poses of a solved component, moved by what the loop changes, by one factorisation for many loops.
+"""One loop more: the poses of a solved component, moved by the loop, by one factorisation for many loops.
 
 The normal equations at the poses found before are factorised once. A loop adds six rows J to them, and by the identity
 of Woodbury (H + J^T J)^-1 follows from H^-1 J^T: six solutions instead of a new factorisation. Submaps that came later
@@ -25,12 +25,12 @@ from revisit.core.pose_graph.optimisation import GATE, WIDE_GATE, LoopState
 Array64 = NDArray[np.float64]
 
 SETTLED_M = 0.1
-"""A step that moves no submap farther is the last one, metres: what is left is of second order, millimetres."""
+"""A step that moves no submap farther is the last one, metres: the rest is of second order, millimetres."""
 
 MAX_STEPS = 5
 
 MOST_HELD = 8
-"""Loops that one factorisation carries: each adds six columns of all poses to what is kept in memory."""
+"""Loops that one factorisation carries: each adds six columns of all poses to the memory."""
 
 MOST_LATER = 32
 """Submaps that one factorisation carries: their poses are composed step by step."""
@@ -49,7 +49,7 @@ class _Step:
 class _Taken:
     """A loop, whitened, as the factorisation knows it.
 
-    rows: by the number of an unknown what moves the loop by it (6, 6); moves (6 u, 6), what each row of the loop moves.
+    rows: by the number of an unknown its effect on the loop (6, 6); moves (6 u, 6), the effect of each row of the loop.
     """
 
     loop: LoopEdge
@@ -60,7 +60,7 @@ class _Taken:
 
 @dataclass(frozen=True)
 class _State:
-    """Poses (n, 4, 4) of the submaps in the factorisation, and what each later step errs by (t, 6)."""
+    """Poses (n, 4, 4) of the submaps in the factorisation, and the error of each later step (t, 6)."""
 
     poses: Array64
     slips: Array64
@@ -142,11 +142,11 @@ class SolvedComponent:
 
     @property
     def is_half_full(self) -> bool:
-        """Whether the factorisation carries half of what it may: time for a new one, where there is time."""
+        """Whether the factorisation carries half of its limit: time for a new one, where there is time."""
         return 2 * len(self._taken) >= MOST_HELD or 2 * len(self._steps) >= MOST_LATER
 
     def refresh(self) -> None:
-        """Factorise anew, with the submaps and loops that came in, and settle what is left.
+        """Factorise anew, with the new submaps and loops, and settle the rest.
 
         For when there is time; `add` does it where it must.
         """
@@ -189,7 +189,7 @@ class SolvedComponent:
         return len(self._state.poses) + len(self._steps)
 
     def _solved(self, right: Array64) -> Array64:
-        """What `right` (6 u, k) moves without the taken loops."""
+        """The motion by `right` (6 u, k) without the taken loops."""
         known = 6 * len(self._state.poses)
         of_steps = [step.covariance @ right[known + 6 * n : known + 6 * n + 6] for n, step in enumerate(self._steps)]
         return np.concatenate([self._factors.solve(right[:known]), *of_steps])
@@ -241,7 +241,7 @@ class SolvedComponent:
         return np.asarray(one.whitening @ se3.log(se3.inverse(match @ one.loop.T_match_query) @ query))
 
     def _loop_rows(self, loop: LoopEdge, whitening: Array64, state: _State) -> dict[int, Array64]:
-        """What moves a loop (6, 6), by the number of the unknown: of poses first, then of steps."""
+        """The effect on a loop (6, 6), by the number of the unknown: of poses first, then of steps."""
         T_query_map = se3.inverse(self._pose(loop.query, state))
         rows: dict[int, Array64] = {}
         for node, sign in ((loop.match, -1.0), (loop.query, 1.0)):
@@ -293,7 +293,7 @@ def _inner(taken: list[_Taken]) -> Array64:
 
 
 def _product(one: _Taken, other: _Taken) -> Array64:
-    """What the moves of a loop do to another one (6, 6); later unknowns than a loop's own it does not move."""
+    """The effect of the moves of a loop on another one (6, 6); later unknowns than a loop's own it does not move."""
     parts = [block @ other.moves[6 * n : 6 * n + 6] for n, block in one.rows.items() if 6 * n < len(other.moves)]
     return np.asarray(sum(parts, np.zeros((6, 6))))
 

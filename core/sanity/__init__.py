@@ -1,8 +1,8 @@
-"""Whether clouds and poses can be what they claim: metres, upright, right-handed, in nanoseconds.
+"""Plausibility of clouds and poses: metres, upright, right-handed, in nanoseconds.
 
-Nothing here refuses; a `Finding` says what was measured, what most likely causes it, and what to do. The thresholds are
+Nothing here refuses; a `Finding` has the measurement, the likely cause and the advice. The thresholds are
 set so that real drives and rooms have no findings (docs/how-to/check-a-recording.md).
 
-`finding`, `numbers` and `ground` need NumPy alone, so that robots check what they send; `agreement` and `window` search
+`finding`, `numbers` and `ground` need NumPy alone, so that robots check their own data; `agreement` and `window` search
 neighbours with SciPy.
 """

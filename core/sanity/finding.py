@@ -1,4 +1,4 @@
-"""What a check says."""
+"""Findings of checks."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Finding:
-    """Something that is unlikely to be meant: a stable code, what was measured, the likely cause, and what to do."""
+    """An unlikely value: a stable code, the measurement, the likely cause and the advice."""
 
     code: str
     measured: str
@@ -50,4 +50,4 @@ LIKELY_CAUSES = {
     "degenerate_plane": ("all points lie on one plane", "expect no loops from such a place"),
     "empty_cloud": ("most points lie beyond the sensor's range: centimetres or millimetres", "give metres"),
 }
-"""Code -> what most likely causes it and what to do, where what was measured is not at hand any more."""
+"""Code -> likely cause and advice, where the measurement is not at hand any more."""

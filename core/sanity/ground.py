@@ -71,7 +71,7 @@ def ground_plane(
 def place_flags(
     points: NDArray[np.floating], scene_scale: float = 1.0, scores_of: PlaneScores = scores_of_planes
 ) -> tuple[str, ...]:
-    """What is suspicious about a submap: "ground_tilted", "scene_too_small".
+    """Flags of a submap: "ground_tilted", "scene_too_small".
 
     `points` (n, 3) in its level frame, whose lengths are divided by `scene_scale`. A scene that is too large does not
     come so far: its points lie beyond the sensor's range.
@@ -86,7 +86,7 @@ def place_flags(
 def thinned_cloud(points: NDArray[np.floating]) -> tuple[Array, float]:
     """At most 3,000 of the nearer points, one a voxel, and the scene's scale compared with a street's."""
     points = sample_of(points)
-    # returns that did not come back are zeros in what some drivers store
+    # returns that did not come back are zeros in some drivers' data
     points = points[(points[:, 0] != 0.0) | (points[:, 1] != 0.0) | (points[:, 2] != 0.0)]
     ranges = np.sqrt(np.einsum("ij,ij->i", points, points))
     if len(points) == 0:
@@ -126,7 +126,7 @@ def check_gravity(scans: Sequence[Scan], scores_of: PlaneScores = scores_of_plan
 
 
 def _why_tilted(normal: Array) -> tuple[str, str]:
-    """The likely cause of a ground with such a normal (3,), and what to do."""
+    """The likely cause of a ground with such a normal (3,), and the advice."""
     if normal[2] < -MAX_TILT_COSINE:
         return "z points down (NED, or a sensor that hangs upside down)", "give poses in a frame whose z axis points up"
     if abs(normal[1]) > 0.9:

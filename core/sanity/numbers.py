@@ -1,4 +1,4 @@
-"""Units, times, motion and points: what the numbers alone tell."""
+"""Units, times, motion and points, checked by the numbers alone."""
 
 from __future__ import annotations
 

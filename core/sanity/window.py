@@ -21,7 +21,7 @@ JUMP_M = 15.0
 
 
 def window_findings(scans: Sequence[Scan], scores_of: PlaneScores = scores_of_planes) -> list[Finding]:
-    """What is unlikely to be meant about scans in time order, one finding for each code.
+    """Findings of scans in time order, one for each code.
 
     All poses and times are looked at, and at most six of the clouds. `scores_of`: how planes are scored.
     """

@@ -1,4 +1,4 @@
-"""What profiles along all headings say of a place whatever its heading and origin (docs/decisions/0017).
+"""A description by profiles along all headings, invariant to heading and origin (docs/decisions/0017).
 
 The amplitude spectrum of a profile does not change when the submap moves, and turns with it. Over the heading it is
 developed into harmonics: their amplitudes do not turn, and neither do the phases by which the harmonics of neighbouring

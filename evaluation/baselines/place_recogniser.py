@@ -1,4 +1,4 @@
-"""What every baseline offers: a descriptor of a cloud, and how alike descriptors are."""
+"""The interface of every baseline: a descriptor of a cloud, and a similarity of descriptors."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ class PlaceRecogniser(Protocol):
 
     @property
     def name(self) -> str:
-        """What the method is called in reports."""
+        """The name of the method in reports."""
 
     def describe(self, points: Points) -> Descriptor:
         """The descriptor of a cloud (n, 3), metres, z up, seen from its origin."""

@@ -1,4 +1,4 @@
-"""What a submap costs on another device, beside the processor and by turns with it."""
+"""The cost of a submap on another device, by turns with the processor."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _STARTING_S = 600.0
 
 @dataclass(frozen=True)
 class Side:
-    """A device, and what it took: wall seconds of each round, and the results of the last."""
+    """A device and its cost: wall seconds of each round, and the results of the last."""
 
     device: Device
     seconds: list[float]
@@ -114,7 +114,7 @@ def count_described(
     name: str, submaps: Sequence[Submap], seconds: float, gate: Gate, tell: Callable[[int | Exception], None]
 ) -> None:
     """Describe the submaps on device `name` once, then over and over for so long from when all wait at the gate; tell
-    how many it were, or what went wrong.
+    how many it were, or the error.
     """
     try:
         tell(_described(open_device(name), submaps, seconds, gate))
@@ -141,7 +141,7 @@ def _cosine(one: DescribedPlace, other: DescribedPlace) -> float:
 
 
 def _alike(one: DescribedPlace, other: DescribedPlace) -> bool:
-    """Whether two descriptions of a submap are the same within what is promised of devices (docs/decisions/0295)."""
+    """Whether two descriptions of a submap are the same within the tolerance of devices (docs/decisions/0295)."""
     points, others = one.neural_map.points.positions, other.neural_map.points.positions
     if _cosine(one, other) < LEAST_COSINE or len(points) != len(others):
         return False

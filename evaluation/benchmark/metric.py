@@ -1,4 +1,4 @@
-"""Declared figures, and what counts as a regression."""
+"""Declared figures, and their regressions."""
 
 from __future__ import annotations
 

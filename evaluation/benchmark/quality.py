@@ -1,4 +1,4 @@
-"""Surface errors by true distance, and bytes of what is stored: simulated, and of a real street where there is one."""
+"""Surface errors by true distance, and stored bytes: simulated, and of a real street where there is one."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def surfaces_and_bytes() -> list[Metric]:
 
 
 def bytes_of(described: DescribedPlace) -> list[Metric]:
-    """What a simulated submap of 11 scans takes in the store."""
+    """The stored bytes of a simulated submap of 11 scans."""
     return [
         Metric("neural_map", len(described.neural_map.to_blob()) / 1e3, "kB", tolerance=0.1),
         Metric("place", len(described.place.to_blob()) / 1e3, "kB", tolerance=0.1),

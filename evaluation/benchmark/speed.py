@@ -1,4 +1,4 @@
-"""What one submap, one candidate and one search cost, beside other methods on the same submaps."""
+"""The cost of one submap, one candidate and one search, beside other methods on the same submaps."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ SPACING_M = 0.15
 """Between the scans of a dense submap: 10 Hz at 1.5 m/s."""
 _PEERS = (ScanContext(),)
 PEERS = frozenset({*(f"describe_{peer.name}" for peer in _PEERS), "verify_small_gicp"})
-"""Works of others: what another machine makes slower of them is no regression of the product."""
+"""Works of others: their slower times are no regression of the product."""
 _VOXEL_M = 0.3
 
 

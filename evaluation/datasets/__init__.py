@@ -34,11 +34,11 @@ FORMATS: dict[str, Callable[[Path], Recording]] = {
     "rosbag2": open_bag,
     "rosbag1": open_bag,
 }
-"""How a folder may be laid out: the name given to `--format`, and what opens it."""
+"""A layout of a folder: the name given to `--format`, and its reader."""
 
 
 AUTO = "auto"
-"""Stands for a bag, a KITTI folder, or else any folder of clouds, by what lies in the folder."""
+"""Stands for a bag, a KITTI folder, or else any folder of clouds, by its files."""
 
 
 def open_recording(
@@ -81,12 +81,12 @@ def notes_of(recording: Recording) -> tuple[str, ...]:
 
 
 def findings_of(recording: Recording) -> tuple[Finding, ...]:
-    """What only the source of a recording tells, as times that went back before its scans were put in order."""
+    """Findings of the source of a recording, as times that went back before its scans were sorted."""
     return recording.findings if isinstance(recording, BagRecording) else ()
 
 
 def name_of_scan(recording: Recording, index: int) -> str:
-    """What a person finds a scan by: its file, or in a bag its number from 1 and its time."""
+    """The label of a scan for a person: its file, or in a bag its number from 1 and its time."""
     if isinstance(recording, KittiRecording | PosedClouds):
         return recording.files[index].name
     return f"scan {index + 1} of {len(recording)} (stamp {recording.stamps_ns[index]} ns)"

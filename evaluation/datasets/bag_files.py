@@ -49,7 +49,7 @@ def is_bag(path: Path) -> bool:
 
 
 def bags_out_of_sight(folder: Path) -> str:
-    """What to do about bags that lie deeper in a folder, or that are not finished or compressed as files; else ""."""
+    """Advice for bags that lie deeper in a folder, or that are not finished or compressed as files; else ""."""
     unfinished = sorted(folder.glob("*.bag.active"))
     if unfinished:
         return f"{unfinished[0].name} was not finished: rename it to .bag, then it is read as far as it goes"

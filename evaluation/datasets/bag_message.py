@@ -1,4 +1,4 @@
-"""What the readers of bags have in common: a message, where it lies, and how chunks are unpacked within bounds."""
+"""Common parts of the readers of bags: a message, its position, and unpacking of chunks within bounds."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ ENCODINGS: dict[str, Encoding] = {"cdr": "cdr", "ros1": "ros1"}
 
 
 class DamagedChunk(MalformedBody):
-    """A chunk is not what was written: the messages in it are lost, and no others."""
+    """A chunk is damaged: the messages in it are lost, and no others."""
 
 
 @dataclass(frozen=True)
@@ -72,7 +72,7 @@ class Bag(Protocol):
 def unpacked_chunk(content: bytes, compression: str, size: int) -> bytes:
     """The `size` bytes that a chunk says it holds; never more is unpacked.
 
-    Raises DamagedChunk for damaged data or another size, MalformedBody for a size beyond what is read,
+    Raises DamagedChunk for damaged data or another size, MalformedBody for a size beyond the limit,
     UnsupportedEncoding for an unknown compression.
     """
     if size > MAX_CHUNK_BYTES:

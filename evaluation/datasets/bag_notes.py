@@ -1,4 +1,4 @@
-"""What is said about a bag that was read: sentences for people, warnings among them."""
+"""Notes on a bag that was read: sentences for people, warnings among them."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from revisit.evaluation.datasets.topic_choice import WantedTopics, doubts
 
 
 def notes(pairs: list[Pairing], found: BagTopics, wanted: WantedTopics, stamps: Stamps, files: int) -> tuple[str, ...]:
-    """What was taken, why, what else there was, and what is wrong.
+    """The choice of topics, its reason, the others, and faults.
 
     The pairs differ in the frame of their clouds alone. `stamps` (n,) are those of the scans, rising.
     """

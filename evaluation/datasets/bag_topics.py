@@ -1,4 +1,4 @@
-"""What a bag holds of use: topics of clouds, topics of poses, and the transforms between frames."""
+"""The useful topics of a bag: of clouds, of poses, and the transforms between frames."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ class CloudTopic:
 
 @dataclass
 class PoseTopic:
-    """Poses of one topic. What it follows is named in an Odometry only."""
+    """Poses of one topic. Only an Odometry names the frame that it follows."""
 
     name: str
     poses: list[StampedTransform] = field(default_factory=list)
@@ -105,7 +105,7 @@ class BagTopics:
 
 @dataclass
 class _Pass:
-    """What one pass over the messages gathers."""
+    """The result of one pass over the messages."""
 
     clouds: dict[str, CloudTopic] = field(default_factory=dict)
     poses: dict[str, PoseTopic] = field(default_factory=dict)
@@ -136,7 +136,7 @@ class _Pass:
             self.transforms.take(message.topic, read_transforms(message.data, message.encoding))
 
     def finish(self) -> None:
-        """Read what only the last message of a topic tells."""
+        """Read the last message of a topic."""
         for topic, message in self.paths.items():
             try:
                 poses = read_path(message.data, message.encoding)

@@ -28,7 +28,7 @@ _POSE_FILES = (
     "poses.txt", "poses.tum", "trajectory.txt", "trajectory.tum", "traj.txt", "poses.kitti", "poses.g2o", "graph.g2o",
 )  # fmt: skip
 _OF_ODOMETRIES = ("*_tum.txt", "*_kitti.txt", "odom_lidar.txt", "traj_lidar.txt")
-"""What KISS-ICP leaves in `results/latest`, and GLIM in its dump: odometry before what was optimised."""
+"""Trajectories of KISS-ICP in `results/latest`, and of GLIM in its dump: odometry before optimised poses."""
 _OUTPUT_FOLDERS = (".", "results/latest", "dump")
 
 

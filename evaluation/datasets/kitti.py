@@ -66,7 +66,7 @@ class KittiRecording:
         return self._poses[index]
 
     def scan(self, index: int) -> Scan:
-        """The scan with that index. Raises MalformedBody for a damaged file and what `Scan.validated` raises."""
+        """The scan with that index. Raises MalformedBody for a damaged file and as `Scan.validated` does."""
         points = read_velodyne(self._files[index])
         return Scan.validated(points, self._poses[index], int(self._stamps_ns[index]))
 
@@ -98,7 +98,7 @@ def read_velodyne(file: Path) -> Points:
 def write_kitti(folder: Path | str, scans: Iterable[tuple[Points, se3.Matrix4, int]]) -> int:
     """Write scans (points (n, 3), T_world_sensor, stamp_ns) in KITTI layout with an identity Tr; returns their number.
 
-    Times are stored with nanoseconds and poses with nanometres, so reading gives back what was written.
+    Times are stored with nanoseconds and poses with nanometres, so reading gives the same values.
     """
     target = Path(folder)
     (target / "velodyne").mkdir(parents=True, exist_ok=True)

@@ -32,7 +32,7 @@ def nanoseconds(time: str) -> int:
     """The nanoseconds of a decimal number of seconds, exactly.
 
     A whole number of MICROSECOND_DIGITS or more is in microseconds, of NANOSECOND_DIGITS or more in nanoseconds:
-    seconds would be beyond all calendars. Raises MalformedBody for what is no time, or one that 64 bits do not hold.
+    seconds would be beyond all calendars. Raises MalformedBody for no time, or one that 64 bits do not hold.
     """
     whole, _, fraction = time.partition(".")
     if whole.isdecimal() and (fraction.isdecimal() or not fraction):

@@ -1,4 +1,4 @@
-"""Clouds with poses: what a pair of topics of a bag is."""
+"""Clouds with poses, of a pair of topics of a bag."""
 
 from __future__ import annotations
 

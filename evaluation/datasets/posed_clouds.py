@@ -70,7 +70,7 @@ class StampedPoses:
         if self.stamps_ns[after] == stamp_ns:
             return np.asarray(self.T_world_body[after])
         first, second = self.T_world_body[after - 1], self.T_world_body[after]
-        # Differences of integers: nanoseconds since 1970 exceed what a float64 holds exactly.
+        # Differences of integers: nanoseconds since 1970 exceed a float64.
         elapsed = int(stamp_ns) - int(self.stamps_ns[after - 1])
         share = elapsed / (int(self.stamps_ns[after]) - int(self.stamps_ns[after - 1]))
         return np.asarray(first @ se3.exp(share * se3.log(se3.inverse(first) @ second)))
@@ -105,7 +105,7 @@ class PosedClouds:
         return np.asarray(self.T_world_sensor[index])
 
     def scan(self, index: int) -> Scan:
-        """The scan with that index. Raises MalformedBody for a damaged file and what `Scan.validated` raises."""
+        """The scan with that index. Raises MalformedBody for a damaged file and as `Scan.validated` does."""
         return Scan.validated(self.read(self.files[index]), self.pose(index), int(self.stamps_ns[index]))
 
     def __iter__(self) -> Iterator[Scan]:
@@ -147,7 +147,7 @@ def in_number_order(files: Iterable[Path]) -> list[Path]:
 
 
 def _pieces(number: re.Pattern[str], stem: str) -> list[str | Decimal]:
-    """What stands between the numbers in a name, and the numbers, by turns."""
+    """The text between the numbers in a name, and the numbers, by turns."""
     ends = [0, *(end for found in number.finditer(stem) for end in found.span()), len(stem)]
     parts = [stem[first:last] for first, last in pairwise(ends)]
     return [Decimal(part) if place % 2 else part for place, part in enumerate(parts)]

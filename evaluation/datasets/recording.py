@@ -1,4 +1,4 @@
-"""What every recording offers: posed scans, one at a time."""
+"""The interface of every recording: posed scans, one at a time."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ class Recording(Protocol):
 
     @property
     def name(self) -> str:
-        """What the recording is called in reports."""
+        """The name of the recording in reports."""
 
     @property
     def stamps_ns(self) -> NDArray[np.int64]:

@@ -28,7 +28,7 @@ class BagRecording:
     """The clouds of one topic with interpolated poses. A scan's points are read from the bag when asked for.
 
     T_sensor_cloud (n, 4, 4) moves the clouds as they lie in the bag into the sensor's frame; None where they are there.
-    `notes` are sentences about the choice of topics; `findings` are what only the order of the bag's messages tells.
+    `notes` are sentences about the choice of topics; `findings` rest on the order of the bag's messages.
     """
 
     name: str
@@ -49,7 +49,7 @@ class BagRecording:
         return np.asarray(self.T_world_sensor[index])
 
     def scan(self, index: int) -> Scan:
-        """The scan with that index. Raises MalformedBody for a damaged message and what `Scan.validated` raises."""
+        """The scan with that index. Raises MalformedBody for a damaged message and as `Scan.validated` does."""
         message, stamp = self.bag.data(self.places[index]), int(self.stamps_ns[index])
         if self.T_sensor_cloud is None:
             return Scan.validated(read_points(message, self.encoding), self.pose(index), stamp)

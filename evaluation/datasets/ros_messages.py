@@ -118,7 +118,7 @@ def read_coordinates(message: bytes, encoding: Encoding = "cdr") -> NDArray[np.f
 
 
 def _packed(message: bytes, encoding: Encoding) -> PackedCloud:
-    """A cloud with its coordinates alone: what drivers write of other fields costs no scan."""
+    """A cloud with its coordinates alone: faults of other fields cost no scan."""
     fields = _Fields(message, encoding)
     fields.header()
     height, width = (int(value) for value in fields.numbers("I", 2))
@@ -135,7 +135,7 @@ def _packed(message: bytes, encoding: Encoding) -> PackedCloud:
 def _without_padding(data: bytes, height: int, row_bytes: int, row_step: int) -> bytes:
     """The rows of a cloud side by side; `data` as it is where it has not the size of rows `row_step` apart.
 
-    What the message says of its size is believed only if its bytes bear it out.
+    The stated size of a message is believed only if its bytes bear it out.
     """
     if row_step <= row_bytes or len(data) != height * row_step:
         return data

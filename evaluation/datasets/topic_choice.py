@@ -28,7 +28,7 @@ _PACKETS = ("VelodyneScan", "PacketMsg", "RobosensePacket", "RslidarScan", "Hesa
 
 @dataclass(frozen=True)
 class WantedTopics:
-    """What the user says about a bag; the rest is found out."""
+    """The user's choices for a bag; the rest is found out."""
 
     topic: str | None = None
     odometry: str | None = None
@@ -124,7 +124,7 @@ def _named(topics: dict[str, CloudTopic], name: str | None, field: str, found: B
 
 
 def _pairings(cloud: CloudTopic, found: BagTopics, wanted: WantedTopics) -> Iterator[Pairing]:
-    """What the clouds may be paired with."""
+    """Candidates of poses for the clouds."""
     transforms = found.transforms
     if wanted.odometry not in (None, TF, *found.poses, *transforms.moving):
         there = ", ".join(sorted(found.poses)) or "none"
@@ -143,7 +143,7 @@ def _pairings(cloud: CloudTopic, found: BagTopics, wanted: WantedTopics) -> Iter
 
 
 def _topics_of_transforms(cloud: CloudTopic, found: BagTopics, wanted: WantedTopics) -> tuple[str, ...]:
-    """Those that tell how the clouds move: what is named holds, whatever its namespace."""
+    """Those that tell how the clouds move: a named topic holds in any namespace."""
     named = wanted.odometry if wanted.odometry in found.transforms.moving and wanted.odometry != TF else None
     return found.transforms.topics(cloud.name, named, found.clouds)
 
@@ -179,7 +179,7 @@ def _carrier(frame: str, root: str | None, tree: TransformTree) -> str | None:
 
 
 def _disagreement(cloud: CloudTopic, told: BetweenFrames, given: se3.Matrix4) -> tuple[str, ...]:
-    """What is said where the transforms tell another mounting than the user does."""
+    """The warning where the transforms tell another mounting than the user."""
     if not cloud.frame or not told.tree.linked(told.target, told.source):
         return ()
     known = cloud.stamps_ns[told.covered(cloud.stamps_ns)]
@@ -274,7 +274,7 @@ def _no_poses(found: BagTopics, clouds: list[CloudTopic], wanted: WantedTopics) 
 
 
 def _no_mounting(cloud: CloudTopic, found: BagTopics, wanted: WantedTopics) -> str:
-    """What to say where transforms move something, and none leads from there to the clouds; "" elsewhere."""
+    """The advice where transforms move something, and none leads from there to the clouds; "" elsewhere."""
     tree = found.transforms.tree(_topics_of_transforms(cloud, found, wanted))
     moved = [body for body in tree.moved(ODOMETRY_FRAMES) if cloud.frame not in tree.ancestors(body)]
     if not moved or (wanted.T_body_sensor is not None and len(moved) == 1):

@@ -12,7 +12,7 @@ from revisit.evaluation.datasets.transform_tree import TransformTree
 
 @dataclass
 class TransformGroups:
-    """What each topic of transforms has told, in the order of the bag.
+    """The transforms of each topic, in the order of the bag.
 
     Transforms of /robot1/tf and /robot1/tf_static hold for topics in the namespace /robot1; those of /tf and /tf_static
     hold for all topics.
@@ -22,7 +22,7 @@ class TransformGroups:
     _trees: dict[tuple[str, ...], TransformTree] = field(default_factory=dict, repr=False)
 
     def take(self, topic: str, transforms: Iterable[StampedTransform]) -> None:
-        """Note what a message has told."""
+        """Add the transforms of a message."""
         self.told.setdefault(topic, []).extend(transforms)
 
     @property

@@ -20,7 +20,7 @@ SAME = 1e-6
 
 @dataclass(frozen=True)
 class _Edge:
-    """Where a frame is in its parent, and the times in the order of the bag; what does not move holds for ever."""
+    """Where a frame is in its parent, and the times in the order of the bag; a static transform holds for ever."""
 
     parent: str
     poses: StampedPoses
@@ -142,5 +142,5 @@ def _edge(samples: list[StampedTransform], moves: bool) -> _Edge:
     stamps = np.array([sample.stamp_ns for sample in told], dtype=np.int64)
     if moves and len(np.unique(stamps)) > 1:
         return _Edge(parent, stamped_poses(told), True, stamps)
-    # As in ROS, what holds for ever is what was told last, whatever its stamp.
+    # As in ROS, the last static transform holds, whatever its stamp.
     return _Edge(parent, stamped_poses(told[-1:]), False, stamps[-1:])

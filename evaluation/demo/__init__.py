@@ -1,4 +1,4 @@
-"""The demonstration: a simulated robot's drive, what is true about it, and a picture of what was found."""
+"""The demonstration: a simulated robot's drive, its truth, and a picture of the result."""
 
 from revisit.evaluation.demo.drive import DemoDrive, demo_drives
 from revisit.evaluation.demo.figure import DemoFigure, draw

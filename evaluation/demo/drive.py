@@ -31,7 +31,7 @@ VISITOR = [(2, 2), (2, 1), (2, 0)]
 
 @dataclass(frozen=True)
 class DemoDrive:
-    """One robot's drive. T_odom_sensor (n, 4, 4) is what its odometry says: it starts at the identity and drifts."""
+    """One robot's drive. T_odom_sensor (n, 4, 4) is its odometry: it starts at the identity and drifts."""
 
     robot: str
     world: World

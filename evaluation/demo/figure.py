@@ -46,7 +46,7 @@ STYLE: dict[Any, Any] = {
 
 @dataclass(frozen=True)
 class DemoFigure:
-    """What is drawn. `pair` is None where no robot met its own way."""
+    """The content of the picture. `pair` is None where no robot met its own way."""
 
     map: MapReport
     loops: LoopReport

@@ -60,7 +60,7 @@ class RobotTrack:
 
 @dataclass(frozen=True)
 class MapReport:
-    """What the map of the demo is worth: each robot's track, and the loop closures that the map rests on."""
+    """Errors of the demo's map: each robot's track, and the loop closures of the map."""
 
     tracks: tuple[RobotTrack, ...]
     loops_in_map: int

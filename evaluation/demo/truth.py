@@ -1,4 +1,4 @@
-"""What is true about the demo's submaps, and how the loops that were found compare with it."""
+"""The truth of the demo's submaps, and the found loops beside it."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class FoundLoop:
 
 @dataclass(frozen=True)
 class Targets:
-    """What the demo must reach.
+    """The targets of the demo.
 
     A revisit is a submap within `revisit_m` of an earlier one, more than `gap` submaps before it or of another robot; a
     loop is false where its pose is off by more than `false_m` or `false_deg`.

@@ -13,7 +13,7 @@ Floats = NDArray[np.float64]
 
 
 class Material(IntEnum):
-    """What a triangle is made of: decides how much light it returns."""
+    """The material of a triangle: decides how much light it returns."""
 
     GROUND = 0
     GRASS = 1

@@ -52,7 +52,7 @@ def build_house(style: Facade, width: float, depth: float, rng: np.random.Genera
 
 
 def _front(style: Facade, width: float, depth: float, floors: int, y: float) -> list[Blocks]:
-    """Piers and bands of the wall at `y`: what is between them is a window, `recess` metres deeper."""
+    """Piers and bands of the wall at `y`: between them is a window, `recess` metres deeper."""
     bays = max(1, round(width / style.bay))
     pitch = width / bays
     pier = pitch * (1.0 - style.window_share)

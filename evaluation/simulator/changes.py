@@ -1,4 +1,4 @@
-"""What a year does to a town: trees are felled or lose leaves, houses come down, containers stand on the verge."""
+"""Changes of a town within a year: trees are felled or lose leaves, houses come down, containers stand on the verge."""
 
 from __future__ import annotations
 

@@ -17,7 +17,7 @@ from revisit.evaluation.simulator.traffic import ParkingSlots, Traffic, random_t
 
 @dataclass(frozen=True)
 class TownPlan:
-    """What a town is like. Lengths in metres, shares in 0..1, densities per kilometre of street."""
+    """Parameters of a town. Lengths in metres, shares in 0..1, densities per kilometre of street."""
 
     kerb: float = 4.7
     pavement: float = 2.0
@@ -65,7 +65,7 @@ class Ground:
 
 @dataclass(frozen=True)
 class World:
-    """A town: its fixed triangles (t, 3, 3) with materials (t,), and what changes or moves in it."""
+    """A town: its fixed triangles (t, 3, 3) with materials (t,), and its changing and moving parts."""
 
     triangles: NDArray[np.float32]
     materials: NDArray[np.uint8]
@@ -93,7 +93,7 @@ def build_city(streets: list[Path], seed: int, plan: TownPlan | None = None, dri
 
 
 def _fixed_triangles(site: _Site) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
-    """Everything that stays, (t, 3, 3), and what it is made of, (t,)."""
+    """Everything that stays, (t, 3, 3), and its materials (t,)."""
     soil, soil_materials = _ground_mesh(site)
     blocks = joined(site.solids)
     leaves = np.concatenate([np.zeros((0, 3, 3), np.float32), *site.foliage])
@@ -114,7 +114,7 @@ def _lay_ground(streets: list[Path], plan: TownPlan, rng: np.random.Generator) -
 
 
 class _Plot:
-    """A 1 m raster of what ground is already used."""
+    """A 1 m raster of the ground in use."""
 
     def __init__(self, streets: list[Path], drive: Path | None, plan: TownPlan) -> None:
         points = np.concatenate([street.sampled(0.5).points for street in streets])
@@ -150,7 +150,7 @@ class _Plot:
 
 @dataclass(frozen=True)
 class _Site:
-    """A town being built: its plan, its ground, the free plots, and what already stands on them."""
+    """A town being built: its plan, its ground, the free plots, and their buildings so far."""
 
     plan: TownPlan
     ground: Ground

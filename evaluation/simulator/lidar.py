@@ -1,4 +1,4 @@
-"""Ray casting: what a LiDAR on a trajectory through a town returns."""
+"""Ray casting: the returns of a LiDAR on a trajectory through a town."""
 
 from __future__ import annotations
 
@@ -124,7 +124,7 @@ def measured(
     hits: Hits, moving: NDArray[np.bool_], directions: NDArray[np.float32], sensor: LidarModel,
     rng: np.random.Generator, T_world_sensor: se3.Matrix4, stamp_ns: int,
 ) -> SimulatedScan:  # fmt: skip
-    """What the sensor reports of the hits: lost returns, range noise, its own limits."""
+    """The sensor's report of the hits: lost returns, range noise, its own limits."""
     within = (hits.range_m >= sensor.min_range_m) & (hits.range_m <= sensor.max_range_m)
     chance = sensor.detection_probability(np.where(within, hits.range_m, 1.0), hits.cosine, hits.material)
     seen = np.flatnonzero(within & (rng.random(len(chance)) < chance))

@@ -64,7 +64,7 @@ class ParkingSlots:
 
 
 class ParkedCars:
-    """The parked cars a drive sees: whoever leaves a slot's surroundings and returns finds another car or none."""
+    """The parked cars of a drive: after leaving a slot's surroundings, a return finds another car or none."""
 
     def __init__(self, slots: ParkingSlots) -> None:
         self._slots = slots

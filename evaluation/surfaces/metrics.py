@@ -23,7 +23,7 @@ _SAMPLES = 60_000
 
 
 class Truth(Protocol):
-    """What is known of the true surface, in the frame of the map."""
+    """The true surface as far as it is known, in the frame of the map."""
 
     @property
     def samples(self) -> Array:
@@ -37,7 +37,7 @@ class Truth(Protocol):
 
 @dataclass(frozen=True)
 class TrueTriangles:
-    """Truth as triangles (t, 3, 3), all of which a surface may follow; `samples` (n, 3) are what was seen of them."""
+    """Truth as triangles (t, 3, 3), all of which a surface may follow; `samples` (n, 3) are the seen points of them."""
 
     triangles: Array
     samples: Array

@@ -109,7 +109,7 @@ def simulated_town(count: int, sensor: LidarModel = HDL64) -> Iterator[Scene]:
 
 
 def _town_scene(world: World, part: Trajectory, sensor: LidarModel) -> Scene:
-    """Every second scan of `part` makes the map; what the others see without noise is its truth."""
+    """Every second scan of `part` makes the map; the others without noise are its truth."""
     exact = dataclasses.replace(sensor, range_noise_m=0.0)
     scans = [
         Scan.validated(s.points, s.T_world_sensor, s.stamp_ns)
