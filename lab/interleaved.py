@@ -59,7 +59,7 @@ def evaluate_interleaved(
 ) -> InterleavedResult:
     """recall@1 within `radius_m` of odd-keyframe submaps among even-keyframe submaps, both turned at random.
 
-    Turning uses `options.perturbation.rotate_seed`, or 0 where it is None. Raises what reading the recording raises.
+    Turning uses `options.perturbation.rotate_seed`, or 0 where it is None. Raises as reading the recording does.
     """
     config = options.pipeline(estimate_scene_scale(recording))
     method = method or RevisitMethod(config, options.ablation, options.profile)

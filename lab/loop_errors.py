@@ -57,7 +57,7 @@ _APART_SCANS = 30
 
 @dataclass(frozen=True)
 class LoopError:
-    """An accepted loop: its overlap, common points, and what its pose is off by.
+    """An accepted loop: its overlap, common points, and the error of its pose.
 
     error (6,): the tangent (x, y, z, rx, ry, rz), metres and radians in the match frame, that turns the estimate into
     the truth; covariance (6, 6) as stated for it; common: standing surface points of the smaller place.
@@ -76,7 +76,7 @@ class LoopError:
 
 @dataclass(frozen=True)
 class ErrorRow:
-    """What a bin of loops has: NEES, metres and degrees of the errors (median and 95th percentile), and by direction.
+    """The figures of a bin of loops: NEES, metres and degrees of the errors (median and 95th percentile), and by direction.
 
     by_direction (6,): the root mean square of error over stated deviation; 1 is right.
     """
@@ -164,7 +164,7 @@ def table(name: str, errors: Sequence[LoopError]) -> list[str]:
 
 
 def draw(errors: dict[str, Sequence[LoopError]], file: Path) -> None:
-    """The share of loops below each NEES, for every recording, beside what chi-square says."""
+    """The share of loops below each NEES, for every recording, beside chi-square."""
     figure, axes = plt.subplots(figsize=(8, 5), layout="constrained")
     for name, some in errors.items():
         nees = np.sort([one.nees for one in some])

@@ -1,4 +1,4 @@
-"""What the options that the paper's text leaves open are worth: the paper's form with one of them changed.
+"""The worth of the options that the paper's text leaves open: the paper's form with one of them changed.
 
 `python -m lab.profile_options OUT DOMAIN [DOMAIN ...]` prints a row for each option, in the units of
 `profile_tables`. The surface of a submap is fitted once for all options of its description.

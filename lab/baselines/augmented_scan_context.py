@@ -26,7 +26,7 @@ class AugmentedScanContext:
 
     @property
     def name(self) -> str:
-        """What the method is called in reports."""
+        """The name of the method in reports."""
         return "scan-context++"
 
     def describe(self, points: Points) -> Descriptor:

@@ -17,4 +17,4 @@ ALL_BASELINES: tuple[PlaceRecogniser, ...] = (
     ScanContext(), M2dp(), NdtHistogram(), Ring(), RingPlusPlus(), Solid(), LidarIris(), Triangles(),
     AugmentedScanContext(), StableTriangles(),
 )  # fmt: skip
-"""Every baseline with the parameters of its paper, or what its docstring says instead."""
+"""Every baseline with the parameters of its paper, or those of its docstring."""

@@ -41,7 +41,7 @@ class LidarIris:
 
     @property
     def name(self) -> str:
-        """What the method is called in reports."""
+        """The name of the method in reports."""
         return "lidar-iris"
 
     def describe(self, points: Points) -> Descriptor:

@@ -23,7 +23,7 @@ class M2dp:
 
     @property
     def name(self) -> str:
-        """What the method is called in reports."""
+        """The name of the method in reports."""
         return "m2dp"
 
     def describe(self, points: Points) -> Descriptor:

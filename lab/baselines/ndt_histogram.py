@@ -36,7 +36,7 @@ class NdtHistogram:
 
     @property
     def name(self) -> str:
-        """What the method is called in reports."""
+        """The name of the method in reports."""
         return "ndt-histogram"
 
     def describe(self, points: Points) -> Descriptor:

@@ -23,7 +23,7 @@ class Ring:
 
     @property
     def name(self) -> str:
-        """What the method is called in reports."""
+        """The name of the method in reports."""
         return "ring"
 
     def describe(self, points: Points) -> Descriptor:

@@ -19,7 +19,7 @@ class RingPlusPlus:
     """Images of +- `half_range_m` in `bins` pixels; `angles` projections; the `frequencies` lowest of each are kept.
 
     Channels are features of the eigenvalues of all points around a pixel. Unlike RING (`lab.baselines.ring`),
-    what the magnitudes leave open - the translation - is not solved here: this compares places only.
+    the translation, which the magnitudes leave open, is not solved here: this compares places only.
     """
 
     half_range_m: float = 70.0
@@ -30,7 +30,7 @@ class RingPlusPlus:
 
     @property
     def name(self) -> str:
-        """What the method is called in reports."""
+        """The name of the method in reports."""
         return "ring++"
 
     def describe(self, points: Points) -> Descriptor:

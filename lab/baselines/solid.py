@@ -27,7 +27,7 @@ class Solid:
 
     @property
     def name(self) -> str:
-        """What the method is called in reports."""
+        """The name of the method in reports."""
         return "solid"
 
     def describe(self, points: Points) -> Descriptor:

@@ -51,7 +51,7 @@ class StableTriangles:
 
     @property
     def name(self) -> str:
-        """What the method is called in reports."""
+        """The name of the method in reports."""
         return "std"
 
     def describe(self, points: Points) -> Descriptor:

@@ -46,7 +46,7 @@ class Pass:
 
 @dataclass(frozen=True)
 class Setting:
-    """What a domain is made for: the folder that keeps what takes long, and how much of a winding way is driven."""
+    """The scale of a domain: the folder of cached results, and the driven share of a winding way."""
 
     folder: Folder
     share: float = 1.0

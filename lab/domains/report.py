@@ -80,7 +80,7 @@ def write_domains(experiments: Sequence[Experiment], missing: Sequence[Domain], 
 
 
 def draw_world(driven: DrivenWorld, file: Path) -> None:
-    """The world from above, coloured by what things are made of, with the way that is driven."""
+    """The world from above, coloured by material, with the driven way."""
     figure, axes = plt.subplots(figsize=(8, 8), layout="constrained")
     points, materials = _sampled(driven.world, np.random.default_rng(0))
     colours = np.array([_COLOURS[kind] for kind in sorted(_COLOURS)])[materials]
@@ -93,7 +93,7 @@ def draw_world(driven: DrivenWorld, file: Path) -> None:
 
 
 def _sampled(world: OpenWorld, rng: np.random.Generator) -> tuple[NDArray[np.float64], NDArray[np.uint8]]:
-    """Points (n, 3) spread over what stands, by area, and thinly over the ground, with their materials (n,)."""
+    """Points (n, 3) spread over standing structure, by area, and thinly over the ground, with their materials (n,)."""
     edges = world.triangles[:, 1:] - world.triangles[:, :1]
     area = np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1).astype(np.float64)
     area[world.materials == Material.GROUND] *= 0.02
@@ -120,7 +120,7 @@ def _summary(method: str, names: Sequence[str], of: dict[tuple[str, str], Domain
 
 
 def _cells(rows: Sequence[DomainFigures]) -> list[str]:
-    """The means of the figures, and the sums of the counts; nothing for counts of what verifies nothing."""
+    """The means of the figures, and the sums of the counts; nothing for counts of methods without verification."""
     shares = [(row.auc, row.f1, row.recall_at_1, row.recall_at_full_precision) for row in rows]
     counts = [(row.accepted, row.false or 0) for row in rows if row.accepted is not None]
     sums = [str(sum(column)) for column in zip(*counts, strict=True)] if counts else ["", ""]

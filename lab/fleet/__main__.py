@@ -3,7 +3,7 @@
 drives       three robots on two days in one town, with the odometry of each
 recording    their drives streamed into a service, once
 wrong_loops  random loops, and aliases that agree with each other
-spoiling     these put into a copy of what the service stored
+spoiling     these put into a copy of the service's data
 run          each copy optimised by a service of its own, and compared with the truth
 scores, figure
 """
@@ -28,7 +28,7 @@ def fleet(
 ) -> None:
     """Stream a simulated fleet into a service, put wrong loops into its map, compare the maps with the truth.
 
-    The drives are streamed once: a second run goes on with what the first one has left in OUT.
+    The drives are streamed once: a second run goes on with the files of the first in OUT.
     """
     from lab.fleet.run import SPOILINGS, run_fleet
 

@@ -60,7 +60,7 @@ ROBOTS = (
 class FleetDrive:
     """One robot's drive on one day, 1 or 2.
 
-    T_odom_sensor (n, 4, 4) is what its odometry says, from a start of its own.
+    T_odom_sensor (n, 4, 4) is its odometry, from a start of its own.
     """
 
     robot: str
@@ -90,7 +90,7 @@ class FleetDrive:
 
     @property
     def drift(self) -> float:
-        """By what share of the way odometry is off after `SEGMENT_M`, on average."""
+        """The error of odometry after `SEGMENT_M` as a share of the way, on average."""
         return relative_drift(self.trajectory.T_world_sensor, self.T_odom_sensor)
 
 
@@ -125,7 +125,7 @@ def drifting(T_world_sensor: Floats, share: float, seed: int) -> Floats:
     constant, noise = rng.normal(size=6), rng.normal(size=(len(T_world_sensor) - 1, 6))
     start = se3.from_yaw(rng.uniform(-np.pi, np.pi), (*rng.uniform(-200.0, 200.0, 2), 0.0))
     strength = share
-    for _ in range(6):  # what strength gives that drift: it is nearly linear
+    for _ in range(6):  # the strength for that drift: it is nearly linear
         poses = _integrated(T_world_sensor, strength * constant, strength * noise)
         strength *= share / relative_drift(T_world_sensor, poses)
     return np.asarray(start @ _integrated(T_world_sensor, strength * constant, strength * noise))

@@ -1,4 +1,4 @@
-"""The drives of the fleet, streamed into a service whose data stay: what later runs begin with."""
+"""The drives of the fleet, streamed into a service whose data stay for later runs."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ Report = Callable[[str, int, int], None]
 
 def recorded(out: Path, seed: int, report: Report) -> list[PlacedSubmap]:
     """The submaps of the fleet with the truth about them, by session in their order; the service's data are in
-    `out`/service. A second call finds what the first one has left.
+    `out`/service. A second call finds the data of the first.
     """
     known = out / _TRUTH
     if not known.is_file():

@@ -34,7 +34,7 @@ _OPTIMISED_WITHIN_S = 1800.0
 
 @dataclass(frozen=True)
 class MapOfFleet:
-    """What the service answered: T_map_submap by name in the largest frame, the names of loops in the map, the graph
+    """The service's answers: T_map_submap by name in the largest frame, the names of loops in the map, the graph
     that it rests on, and how long the optimisation took.
     """
 

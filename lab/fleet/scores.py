@@ -1,4 +1,4 @@
-"""How far the map of a fleet is from the truth, and what it would be without wrong loops."""
+"""Errors of the map of a fleet, with and without wrong loops."""
 
 from __future__ import annotations
 

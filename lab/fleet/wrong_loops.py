@@ -20,7 +20,7 @@ REACH_M = 5.0
 """How far apart a wrong loop puts its ends, along each axis at most."""
 
 REGISTRATION_SIGMAS = 0.02, 0.002
-"""Standard deviations of what a registration errs by: metres and radians."""
+"""Standard deviations of a registration's error: metres and radians."""
 
 
 @dataclass(frozen=True)

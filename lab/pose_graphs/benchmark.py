@@ -168,7 +168,7 @@ def draw(folder: Path, out: Path, graphs: Sequence[str] = GRAPHS, seed: int = SE
 
 
 def _ways(graph: PoseGraph, seed: int) -> dict[str, NDArray[np.float64]]:
-    """Poses (n, 4, 4) of a graph of one session by what they rest on."""
+    """Poses (n, 4, 4) of a graph of one session by method."""
     (one,), spoilt = graph.trajectories, Spoiling(0.5).of(graph, seed)
     return {
         "odometry": one.T_odom_submap,

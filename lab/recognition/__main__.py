@@ -38,7 +38,7 @@ class OwnRecordings:
 
 @dataclass(frozen=True)
 class Lengths:
-    """How drives are cut and what counts as the same place: metres, the gap in submaps; None keeps the bench's own."""
+    """How drives are cut, and the radius of one place: metres, the gap in submaps; None keeps the bench's own."""
 
     tau: float | None = None
     stride: float | None = None
@@ -103,7 +103,7 @@ def _compare_methods(
 
 
 def _sources(drives: str, own: OwnRecordings) -> dict[str, Any]:
-    """What the plan runs on: own recordings where there are some."""
+    """The drives of the plan: own recordings where there are some."""
     from lab.recognition.benchmark_plan import RecordedDrive
     from lab.worlds.towns import DRIVES
 

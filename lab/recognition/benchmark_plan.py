@@ -54,7 +54,7 @@ class Drive(Protocol):
         """Size of the scene compared with a street (`PipelineConfig.scene_scale`)."""
 
     def recorded(self, folder: Path, progress: Progress | None = None) -> Recording:
-        """The recording; `folder` may keep what has to be made."""
+        """The recording; `folder` may keep generated files."""
 
 
 @dataclass(frozen=True)
@@ -66,17 +66,17 @@ class RecordedDrive:
 
     @cached_property
     def scene_scale(self) -> float:
-        """As estimated from its ranges. Raises what opening it raises."""
+        """As estimated from its ranges. Raises as opening it does."""
         return estimate_scene_scale(open_recording(self.source, self.file_format))
 
     def recorded(self, folder: Path, progress: Progress | None = None) -> Recording:
-        """The recording. Raises what opening it raises."""
+        """The recording. Raises as opening it does."""
         return open_recording(self.source, self.file_format)
 
 
 @dataclass(frozen=True)
 class BenchmarkPlan:
-    """What to run. `drives` and `protocols` name a part of it; lengths in metres, jobs in processes.
+    """The plan of a run. `drives` and `protocols` name a part of it; lengths in metres, jobs in processes.
 
     `folder` takes the results, `recordings` the simulated drives. Submaps start every 10 m and do not overlap, so that
     a drive is affordable; the gap of 25 of them is 250 m. With `verified_peers` the first candidates of each baseline
@@ -103,7 +103,7 @@ class BenchmarkPlan:
     def comparisons(
         self, ablation: str, method: LoopClosureMethod | None, scene_scale: float = 1.0
     ) -> list[tuple[str, Comparison]]:
-        """The product (or `method`) and the baselines apart, each with what decides its results.
+        """The product (or `method`) and the baselines apart, each with the inputs of its results.
 
         With an ablation only the product's descriptor.
         """
@@ -182,7 +182,7 @@ class _DriveExperiments:
     def _joined(
         self, source: PerturbedRecording, comparison: Comparison, method: RememberedVerdicts
     ) -> list[ComparedSubmap]:
-        """What the product and what the baselines described, each apart, as one."""
+        """The descriptions of the product and of the baselines as one."""
         product = self._submaps(source, dataclasses.replace(comparison, method=method.method, baselines=()))
         peers = self._submaps(source, dataclasses.replace(comparison, method=None))
         pairs = zip(product, peers, strict=True)

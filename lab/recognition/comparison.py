@@ -89,12 +89,12 @@ class QueriesAndMap:
 
     @property
     def name(self) -> str:
-        """What the sequence is called in reports."""
+        """The name of the sequence in reports."""
         return self.query_recording if self.own_map else f"{self.query_recording}-in-{self.map_recording}"
 
 
 def verified_name(method: str) -> str:
-    """What a baseline with the product's verification behind it is called in reports."""
+    """The name of a baseline with the product's verification behind it in reports."""
     return f"{method} + our verification"
 
 

@@ -28,7 +28,7 @@ class Failure:
 
     @property
     def title(self) -> str:
-        """What went wrong, in one line."""
+        """The failure in one line."""
         kind = "wrongly matched with" if self.wrong else "not matched with its loop"
         return f"submap {self.query} {kind} {self.match} at {self.distance_m:.0f} m, score {self.score:.2f}"
 

@@ -87,7 +87,7 @@ def _means(document: Document, experiments: Sequence[Experiment]) -> None:
 
 
 def _changes(document: Document, experiments: Sequence[Experiment]) -> None:
-    """How far each protocol moves the mean AUC of the product from what it is on the same drives as they are."""
+    """The change of the product's mean AUC by each protocol, on the same drives."""
     rows = []
     for protocol in dict.fromkeys(experiment.protocol for experiment in experiments):
         for method in (PRODUCT, VERIFIED):
@@ -224,7 +224,7 @@ def _milliseconds(experiment: Experiment, method: str) -> str:
 
 
 def _memory(document: Document, experiments: Sequence[Experiment]) -> None:
-    """Megabytes of a whole sequence: raw submaps and what is kept of them (paper Table V)."""
+    """Megabytes of a whole sequence: raw submaps and their stored forms (paper Table V)."""
     chosen = [experiment for experiment in experiments if experiment.protocol == "online"]
     if not chosen:
         return

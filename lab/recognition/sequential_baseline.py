@@ -115,7 +115,7 @@ def _long_clouds(recording: Recording, windows: Sequence[Window], config: Submap
 
 
 def _placed(recording: Recording, window: Window, config: SubmapConfig) -> tuple[Points, se3.Matrix4]:
-    """What MapClosures keeps of a submap, levelled, and its pose; no points where it cannot be built."""
+    """The stored form of a submap in MapClosures, levelled, and its pose; no points where it cannot be built."""
     try:
         submap = load_submap(recording, window, config, Perturbation())[0].levelled()
     except RevisitError:

@@ -1,4 +1,4 @@
-"""Bytes a kilometre of travel, by sensor: scans, and what is kept of each submap."""
+"""Bytes a kilometre of travel, by sensor: scans, and the stored forms of each submap."""
 
 from __future__ import annotations
 
@@ -90,7 +90,7 @@ def thinned(scans: Iterable[Scan], perturbation: Perturbation) -> list[Scan]:
 
 
 def stored_bytes(sensor: str, scans: Sequence[Scan], config: SubmapConfig) -> StoredBytes:
-    """Describe the submaps of a drive and weigh what is stored of them."""
+    """Describe the submaps of a drive and weigh their stored forms."""
     models, builder = load_packaged_models(), SubmapBuilder(config)
     windows = [window for scan in scans if (window := builder.add(scan)) is not None]
     sizes = []

@@ -1,4 +1,4 @@
-"""What a drive takes on the disk: all files of a service's data, weighed as `du` does."""
+"""The disk space of a drive: all files of a service's data, weighed as `du` does."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ BLOCK_BYTES = 512
 """The unit of `st_blocks`, whatever a file system's own blocks are."""
 
 NAMES = {"cloud": "scans", "signature": "places", "neural-map": "neural maps"}
-"""What the folders of blobs hold."""
+"""The contents of the folders of blobs."""
 
 DATABASE, OTHER, SCANS = "database", "other", "scans"
 
@@ -45,7 +45,7 @@ def weigh(home: Path) -> dict[str, int]:
 
 
 def _part(path: Path) -> str:
-    """The part of a store that a path within it belongs to: blobs/TENANT/KIND/..., revisit.db and what is beside it."""
+    """The part of a store that a path within it belongs to: blobs/TENANT/KIND/..., revisit.db and its side files."""
     if path.parts[0] == "blobs" and len(path.parts) > 2:
         return NAMES.get(path.parts[2], path.parts[2])
     return DATABASE if path.name.startswith("revisit.db") else OTHER

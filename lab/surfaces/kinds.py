@@ -43,7 +43,7 @@ def compare_spacings(name: str, scenes: list[Scene], report: Report) -> Iterator
 
 
 def with_spacing(config: ImplicitMapConfig, spacing: float) -> ImplicitMapConfig:
-    """`config` for neural points so many metres apart: what is a distance in voxels grows with them."""
+    """`config` for neural points so many metres apart: distances in voxels grow with them."""
     return dataclasses.replace(config, resolution=spacing, truncation=max(config.truncation, 1.5 * spacing))
 
 

@@ -19,7 +19,7 @@ Array = NDArray[np.float32]
 
 @dataclass(frozen=True)
 class Features:
-    """What one view of a training place contributes: patches (n, d), cluster statistics, layout (s,), spectra."""
+    """The contribution of one view of a training place: patches (n, d), cluster statistics, layout (s,), spectra."""
 
     patches: Array
     micro: ClusterStatistics

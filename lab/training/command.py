@@ -37,7 +37,7 @@ DECODER_WIDTH = 32
 
 
 def main() -> None:
-    """Train what is asked for and write the weights and the report."""
+    """Train the chosen models and write the weights and the report."""
     parser = argparse.ArgumentParser(prog="python -m lab.training", description=__doc__)
     parser.add_argument("--profile", type=Profile, default=Profile.PRODUCT, help="product or paper")
     parser.add_argument("--out", type=Path, default=Path("core/weights/revisit-1.npz"))
@@ -111,7 +111,7 @@ def district_features(
 def view_features(
     submap: Submap, config: PipelineConfig, decoder: DecoderWeights, rng: np.random.Generator
 ) -> Features:
-    """What `core.pipeline.describe` computes of a levelled submap before it needs codebooks."""
+    """The part of `core.pipeline.describe` before codebooks, of a levelled submap."""
     field = fit_implicit_map(submap, decoder, config.implicit_map, rng)
     surface = extract_surface(field, config.surface)
     clusters = segment_clusters(surface, config.clusters)

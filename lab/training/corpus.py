@@ -59,7 +59,7 @@ def training_drive(district: int) -> Iterator[Scan]:
 
 
 def _thinned(scan: Scan, rng: np.random.Generator) -> Scan:
-    """What a sensor of few beams, or a recording with few of its points, would hold of `scan`."""
+    """`scan` as seen by a sensor of few beams, or with few of its points."""
     points = keep_beams(scan.points, int(rng.choice((12, 16, 24))))
     return replace(scan, points=points[rng.random(len(points)) < rng.choice((0.3, 0.6, 1.0))])
 

@@ -23,14 +23,14 @@ from revisit.core.submap import Submap
 from revisit.evaluation.perturbations import Perturbation
 
 SURE = 50
-"""A chance begins as if it had been seen so often at most: what a map itself shows soon counts more."""
+"""A chance begins as if it had been seen so often at most: the statistics of a map itself soon count more."""
 WINDOW_SCANS, LONG_SCANS, STRIDE_SCANS, WINDOWS = 7, 14, 15, 3
 _THIN = Perturbation(keep_beams=16, keep_points=0.06)
 _FEW_BEAMS = Perturbation(keep_beams=16)
 
 
 def main() -> None:
-    """Fit maps of the training towns and write what their models have learned where there is no such file."""
+    """Fit maps of the training towns and write the learned models where there is no such file."""
     parser = argparse.ArgumentParser(prog="python -m lab.training.map_chances", description=__doc__)
     parser.add_argument("--out", type=Path, default=Path("core/weights"), help="folder")
     parser.add_argument("--districts", type=int, default=12, help="simulated towns")
@@ -68,7 +68,7 @@ def _codes_of(scans: list[Scan], config: SubmapConfig) -> PlaneCodes:
 
 
 def learned(maps: Iterable[PlaneCodes]) -> dict[str, NDArray[np.integer]]:
-    """What the models know after `maps`, as `core.codec.neural_chances` reads it."""
+    """The models after `maps`, as `core.codec.neural_chances` reads it."""
     mixtures = fresh_mixtures()
     for codes in maps:
         nothing = np.zeros((len(codes.voxels), 0), np.int32)

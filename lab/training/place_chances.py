@@ -24,7 +24,7 @@ from revisit.core.place import Place
 Counts = NDArray[np.float64]
 
 SURE = 30
-"""A chance begins as if it had been seen so often at most: what a place itself shows soon counts more."""
+"""A chance begins as if it had been seen so often at most: the statistics of a place itself soon count more."""
 _LEAST, _ALL = 64, 1 << 16
 
 

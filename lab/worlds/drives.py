@@ -70,7 +70,7 @@ class DrivenWorld:
         return (self.scan(index) for index in range(len(self)))
 
     def __getstate__(self) -> dict[str, object]:
-        """Without what only this process can use: another one builds its own."""
+        """Without objects of this process: another one builds its own."""
         return {**vars(self), "_scenes": {}, "_recent": {}}
 
     @property

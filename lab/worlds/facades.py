@@ -36,7 +36,7 @@ def facade_way() -> Path:
 
 
 def facade_world(folder: Folder, seed: int = 77) -> OpenWorld:
-    """The buildings of `folder`/mesh.npz with what grows and parks between them."""
+    """The buildings of `folder`/mesh.npz with plants and parked cars between them."""
     rng = np.random.default_rng([seed, 19])
     with np.load(folder / "mesh.npz") as mesh:
         buildings = mesh["v"][mesh["f"]].astype(np.float32)
@@ -51,7 +51,7 @@ def facade_world(folder: Folder, seed: int = 77) -> OpenWorld:
 
 
 def _feet(buildings: NDArray[np.float32]) -> Floats:
-    """Corners (n, 3) of what stands upright."""
+    """Corners (n, 3) of upright structure."""
     normals = np.cross(buildings[:, 1] - buildings[:, 0], buildings[:, 2] - buildings[:, 0])
     normals /= np.linalg.norm(normals, axis=1, keepdims=True) + 1e-12
     return buildings[np.abs(normals[:, 2]) < 0.3].reshape(-1, 3).astype(np.float64)

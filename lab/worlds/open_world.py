@@ -1,4 +1,4 @@
-"""What every domain builds: triangles with materials, the ground to drive on, and where cars may stand."""
+"""The world of every domain: triangles with materials, the ground to drive on, and parking spots."""
 
 from __future__ import annotations
 

@@ -36,7 +36,7 @@ class OvergrownDrive(SimulatedDrive):
     """A drive through an overgrown town, recorded with errors.
 
     A pose is off by `pose_noise_m` and `pose_noise_deg` (standard deviation of each axis); the sensor looks
-    `askew_deg` beside what its poses say; each beam measures ranges wrong by its own offset, `beam_offset_m` (standard
+    `askew_deg` beside its poses; each beam measures ranges wrong by its own offset, `beam_offset_m` (standard
     deviation). The values are those of KITTI 00 (docs/explanation/simulator.md).
     """
 

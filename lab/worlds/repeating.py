@@ -94,7 +94,7 @@ def repeating_pairs(
 
 @dataclass(frozen=True)
 class Visit:
-    """What was seen on one visit: the place, its pose (4, 4) in the world, and the period and aisle it was in."""
+    """One visit: the place, its pose (4, 4) in the world, and the period and aisle it was in."""
 
     place: Place
     T_world_sensor: se3.Matrix4
@@ -129,7 +129,7 @@ def drawn_pairs(world: World, visits: list[Visit], count: int, seed: int, *, sam
 
 @dataclass(frozen=True)
 class Judgement:
-    """What verification made of a pair.
+    """The verification of a pair.
 
     accepted; `right`: the pose it accepts, or would accept, is the true one; `among`: the true pose is that one or one
     of the hypotheses (rivals).
@@ -192,7 +192,7 @@ def _standpoint(rng: np.random.Generator) -> se3.Matrix4:
 
 
 def _seen(world: World, T_world_sensor: se3.Matrix4, visit_seed: list[int], world_seed: int) -> Samples:
-    """What a visit sees, in its own frame: faces towards the sensor, thinned with range, with noise."""
+    """The view of a visit, in its own frame: faces towards the sensor, thinned with range, with noise."""
     rng = np.random.default_rng([*visit_seed, 7])
     samples = [_ground(T_world_sensor[:3, 3], rng)]
     first = int(np.floor((T_world_sensor[0, 3] - REACH_M) / world.period_m))
@@ -274,7 +274,7 @@ def _cars(slots: list[tuple[float, float]], share: float, along_x: bool, rng: np
 
 
 def _hall(passing: np.random.Generator) -> Samples:
-    """What ends a world: a hall across the way with a porch, and a tree beside it."""
+    """The end of a world: a hall across the way with a porch, and a tree beside it."""
     return joined([
         box((14.0, 3.0), (8.0, 44.0, 11.0), passing), box((8.5, -9.0), (3.0, 7.0, 4.0), passing),
         crown((5.0, 11.0, 3.5), 2.5, passing),

@@ -26,7 +26,7 @@ _BODY_M = 1.3  # a car needs this much room to its sides
 
 
 def resimulated_world(recording: Recording, config: PipelineConfig = PipelineConfig()) -> OpenWorld:
-    """The surfaces near the driven way. What moved while it was recorded stays as smears."""
+    """The surfaces near the driven way. Moving objects of the recording stay as smears."""
     starts = range(0, max(1, len(recording) - _SCANS + 1), _STEP)
     triangles = np.concatenate([_reconstructed(recording, start, config) for start in starts])
     way = np.array([recording.pose(index)[:3, 3] for index in range(len(recording))])

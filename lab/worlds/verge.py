@@ -68,7 +68,7 @@ def varying(arc: Floats, period_m: float, bounds: Range, rng: np.random.Generato
 
 
 class _Verge:
-    """The world while it grows: what stands already, and the way that must stay free."""
+    """The world while it grows: the structure so far, and the way that must stay free."""
 
     def __init__(self, way: Path, style: Style, seed: int) -> None:
         self._rng = np.random.default_rng([seed, 5])
