@@ -76,7 +76,7 @@ class LoopError:
 
 @dataclass(frozen=True)
 class ErrorRow:
-    """The figures of a bin of loops: NEES, metres and degrees of the errors (median and 95th percentile), and by direction.
+    """A bin of loops: NEES, metres and degrees of the errors (median and 95th percentile), and by direction.
 
     by_direction (6,): the root mean square of error over stated deviation; 1 is right.
     """

@@ -1,4 +1,4 @@
-"""The worth of each part of the product's descriptor where sensor, density or day differ (paper Table III).
+"""Ablations of the product's descriptor where sensor, density or day differ (paper Table III).
 
 `python -m lab.part_tables OUT [DRIVE ...]` prints, for each condition, the mean area under the curve of
 the simulated test drives (`lab.worlds.towns`), whole and without a part each, with intervals of paired draws. OUT keeps

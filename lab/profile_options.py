@@ -1,4 +1,4 @@
-"""The worth of the options that the paper's text leaves open: the paper's form with one of them changed.
+"""Options that the paper's text leaves open: the paper's form with one of them changed.
 
 `python -m lab.profile_options OUT DOMAIN [DOMAIN ...]` prints a row for each option, in the units of
 `profile_tables`. The surface of a submap is fitted once for all options of its description.

@@ -21,7 +21,7 @@ from revisit.core.geometry.se3 import Matrix4
 
 @dataclass(frozen=True)
 class FleetFigure:
-    """The content of the picture: of each session its submaps by name in their order; poses by submap before and after, and in
+    """Of each session its submaps by name in their order; poses by submap before and after, and in
     truth, all in the frame of the truth; loops of the map and wrong ones that were set aside, as pairs of names.
     """
 

@@ -24,7 +24,7 @@ from revisit.evaluation.loop_closure_method import LoopClosureMethod
 def run_recognition_bench(
     plan: BenchmarkPlan, report: Progress, method: LoopClosureMethod | None = None
 ) -> tuple[list[Experiment], tuple[Path, Path]]:
-    """Run the experiments that are not on file yet and write the report into the plan's folder: the experiments, and its two files.
+    """Run the missing experiments and write the report into the plan's folder: the experiments, and its two files.
 
     `method` takes the product's place; its failures are then listed without the product's bird's-eye images.
     """
