@@ -28,16 +28,38 @@ def write_stubs(out: Path) -> None:
     runpy.run_path(str(ROOT / "proto/generate.py"))["generate"](out)
 
 
+OF_AN_OPERATOR = {
+    "submap.tau": ("REVISIT_TAU_M", "tau_m"),
+    "submap.stride": ("REVISIT_STRIDE_M", "stride_m"),
+    "scene_scale": ("", "scene_scale"),
+    "loop.leave_distance": ("REVISIT_LEAVE_DISTANCE_M", "leave_distance_m"),
+    "loop.candidates": ("REVISIT_LOOP_CANDIDATES", "loop_policy.candidates"),
+    "loop.enough": ("REVISIT_LOOPS_ENOUGH", ""),
+    "verification.min_score": ("REVISIT_MIN_SCORE", "loop_policy.min_score"),
+    "verification.min_overlap": ("REVISIT_MIN_OVERLAP", "loop_policy.min_overlap"),
+    "verification.max_seen_through": ("REVISIT_MAX_SEEN_THROUGH", "loop_policy.max_seen_through"),
+}
+"""The parameters that can be set without changing the code: by a setting, and by a field of a map."""
+
+
 def write_parameters(out: Path) -> None:
-    """Write the reference of every parameter of the method, one table a section, under `out`."""
+    """Write the reference of the parameters that an operator can set under `out`."""
     from revisit.core.config import PipelineConfig
 
-    lines = ["# Parameters", "", "Every parameter of the method, generated from `core/config.py` by `make docs`.", ""]
-    lines += _section("pipeline", PipelineConfig())
-    for section in dataclasses.fields(PipelineConfig):
-        if dataclasses.is_dataclass(getattr(PipelineConfig(), section.name)):
-            lines += _section(section.name, getattr(PipelineConfig(), section.name))
-    _write(out / "docs/reference/parameters.md", "\n".join(lines).rstrip() + "\n")
+    lines = [
+        "# Parameters",
+        "",
+        "The parameters of the method that can be set, for the service or for one map. All others are declared in",
+        "`core/config.py`, each with its unit and source.",
+        "",
+        "| parameter | setting | of a map | default | unit | meaning | source |",
+        "|---|---|---|---|---|---|---|",
+    ]
+    config = PipelineConfig()
+    _write(
+        out / "docs/reference/parameters.md",
+        "\n".join([*lines, *(_row(config, name) for name in OF_AN_OPERATOR)]) + "\n",
+    )
 
 
 def write_openapi(out: Path) -> None:
@@ -113,15 +135,14 @@ def main(arguments: list[str]) -> int:
     return 1 if outdated else 0
 
 
-def _section(name: str, section: Any) -> list[str]:
-    rows = [
-        f"| `{item.name}` | {_cell(item.default)} | {_cell(item.metadata['unit'])} | {_cell(item.metadata['meaning'])}"
-        f" | {_cell(item.metadata['source'])} |"
-        for item in dataclasses.fields(section)
-        if item.metadata
-    ]
-    table = ["| parameter | default | unit | meaning | source |", "|---|---|---|---|---|", *rows, ""] if rows else []
-    return [f"## {name}", "", str(type(section).__doc__).strip(), "", *table]
+def _row(config: Any, name: str) -> str:
+    """The line of a parameter, named by its path from the whole configuration."""
+    section, _, last = name.rpartition(".")
+    holder = getattr(config, section) if section else config
+    (item,) = (one for one in dataclasses.fields(holder) if one.name == last)
+    setting, of_map = (f"`{word}`" if word else "" for word in OF_AN_OPERATOR[name])
+    about = (_cell(item.metadata[key]) for key in ("unit", "meaning", "source"))
+    return f"| {' | '.join((f'`{name}`', setting, of_map, _cell(getattr(holder, last)), *about))} |"
 
 
 def _cell(value: object) -> str:

@@ -10,7 +10,7 @@ from typing import Any, cast
 
 ROOT = Path(__file__).resolve().parent.parent
 
-OF_THE_MACHINE = {"workers": "one less than the cores, at least 1", "clouds_at_once": "four for each core, at least 8"}
+OF_THE_MACHINE = {"workers": "one less than the cores, at least 1"}
 """Defaults of settings that are not the same everywhere."""
 
 ADVICE = {
@@ -79,31 +79,41 @@ def errors() -> str:
 
 def settings() -> str:
     """docs/reference/settings.md."""
-    from revisit.service.settings import Settings
+    from revisit.service.settings import FOR_TESTS, GONE, GROUPS, Settings
 
     parts = [
         "# Settings",
         (
             "The service reads these environment variables and no file. `revisit serve` has options for the commonest. "
             "A value that cannot be used ends the start with status 78 and the variable's name; so does a misspelt "
-            "variable, with the nearest name."
+            "variable, with the nearest name, and one that is gone, with what stands in its place."
         ),
     ]
-    for name, field in Settings.model_fields.items():
-        if name in OF_THE_MACHINE:
-            default = OF_THE_MACHINE[name]
-        elif field.default_factory is not None:
-            default = f"`{cast(Any, field.default_factory)()}`, of the [parameters](parameters.md)"
-        elif field.default in (None, ""):
-            default = "not set"
-        else:
-            default = f"`{field.default}`"
-        bounds = ", ".join(_bound(bound) for bound in field.metadata)
-        parts += [
-            f"## REVISIT_{name.upper()}",
-            f"{_sentence(str(field.description))} Default: {default}." + (f" Bounds: {bounds}." if bounds else ""),
-        ]
+    for title, names in GROUPS.items():
+        parts += [f"## {title}", *(part for name in names for part in _setting(name, Settings.model_fields[name]))]
+    parts += [
+        "## For tests",
+        "No promise of stability.",
+        *(part for name in FOR_TESTS for part in _setting(name, Settings.model_fields[name])),
+    ]
+    rows = [f"| `REVISIT_{name.upper()}` | {_sentence(reason)} |" for name, reason in GONE.items()]
+    parts += ["## Gone", "\n".join(["| former variable | instead |", "|---|---|", *rows])]
     return _page(parts)
+
+
+def _setting(name: str, field: Any) -> tuple[str, str]:
+    """The heading and the text of a setting."""
+    if name in OF_THE_MACHINE:
+        default = OF_THE_MACHINE[name]
+    elif field.default_factory is not None:
+        default = f"`{cast(Any, field.default_factory)()}`, of the [parameters](parameters.md)"
+    elif field.default in (None, ""):
+        default = "not set"
+    else:
+        default = f"`{field.default}`"
+    bounds = ", ".join(_bound(bound) for bound in field.metadata)
+    text = f"{_sentence(str(field.description))} Default: {default}." + (f" Bounds: {bounds}." if bounds else "")
+    return f"### REVISIT_{name.upper()}", text
 
 
 def command_line() -> str:

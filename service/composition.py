@@ -88,7 +88,7 @@ def build_installation(settings: Settings, *, gateway: bool, fail_stop: FailStop
     in_flight = InFlight(
         settings.capacity, current_actor, note_refused=lambda tenant, client: pace.note_refused(tenant, client)
     )
-    pace = CallPace(settings.pace, others_wait=in_flight.others_wait)
+    pace = CallPace(others_wait=in_flight.others_wait)
     transactions = SqliteTransactions(
         settings.database, checkpoints=gateway, lease_ms=policy.lease_ms, fail_stop=switch, on_full=disk.release
     )
@@ -143,11 +143,10 @@ def chores(settings: Settings, installation: Installation, fail_stop: FailStop) 
         await keeper.tend_files()
 
     async def forget() -> None:
-        kept_s = 3600.0 * settings.answers_kept_h
-        await forget_answers(installation.storage, installation.clock, kept_s)
+        await forget_answers(installation.storage, installation.clock)
 
     async def forget_old_events() -> None:
-        await forget_events(installation.storage, settings.events_kept)
+        await forget_events(installation.storage)
 
     deliveries = build_deliveries(settings, installation)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,6 +15,41 @@ from revisit.service.application.capacity.call_pace import PaceLimits
 from revisit.service.application.capacity.in_flight import CapacityLimits
 from revisit.service.application.contract import limits
 from revisit.service.application.contract.policy import Policy
+from revisit.service.application.housekeeping.retention import ANSWERS_KEPT_S, EVENTS_KEPT
+
+GROUPS: Mapping[str, tuple[str, ...]] = {
+    "Addresses and access": (
+        "host", "http_port", "grpc_port", "metrics_port", "allowed_hosts", "insecure_bind", "authentication",
+        "tls_certificate", "tls_key", "client_ca", "client_certificates", "jwt_issuer", "jwt_audience", "jwt_keys",
+        "jwt_tenant_claim", "jwt_max_lifetime_s", "webhook_private_networks",
+    ),
+    "Resources and limits": (
+        "home", "workers", "device", "worker_memory_mb", "job_timeout_s", "max_queued_jobs", "tenant_storage_mb",
+        "client_points_per_s", "tenant_points_per_s", "streams_per_client", "reserve_mb",
+    ),
+    "Maps and loops": (
+        "tau_m", "stride_m", "leave_distance_m", "loop_candidates", "loops_enough", "min_score", "min_overlap",
+        "max_seen_through", "optimise_after_loops",
+    ),
+    "Logs and traces": ("log_level", "hash_tenants_in_logs", "otlp_endpoint"),
+}  # fmt: skip
+"""The settings of an operator, as the reference page has them."""
+
+FOR_TESTS = ("recogniser", "lease_s", "max_attempts", "jobs_per_worker", "drain_s", "fail")
+"""Settings that tests turn, to have in a second what takes an hour, and nobody else."""
+
+GONE: Mapping[str, str] = {
+    "points_per_s": f"a service takes {CapacityLimits.points_per_s / 1e6:g} million points a second",
+    "clouds_at_once": "four clouds are in flight for each core, and at least 8",
+    "max_streams": f"a service has {CapacityLimits.streams} streams",
+    "client_calls_per_s": f"{PaceLimits.client_calls_per_s:g} calls of a client begin a second",
+    "tenant_calls_per_s": f"{PaceLimits.tenant_calls_per_s:g} calls of a tenant begin a second",
+    "answers_kept_h": f"the answer of a query is kept for {ANSWERS_KEPT_S / 3600.0:g} h",
+    "events_kept": f"{EVENTS_KEPT:,} events of a tenant are kept",
+    "optimise_delay_s": f"loops settle for {Policy.optimise_delay_ms / 1000:g} s before an optimisation",
+    "map_versions_kept": f"{Policy.map_versions_kept} versions of a map are kept",
+}
+"""Former settings, and the constant that stands in the place of each."""
 
 
 class Settings(AccessSettings):
@@ -54,38 +90,9 @@ class Settings(AccessSettings):
         description="room (MiB) for the clouds of one tenant, at 12 bytes a point whatever they take on the disk; "
         "further scans and submaps are refused with QUOTA; unset for no limit",
     )
-    points_per_s: float = Field(
-        default=40e6, gt=0, description="rate limit of the whole service, points a second, averaged over 10 s"
-    )
     tenant_points_per_s: float = Field(default=20e6, gt=0, description="rate limit of one tenant, points a second")
     client_points_per_s: float = Field(default=10e6, gt=0, description="rate limit of one API key, points a second")
-    client_calls_per_s: float = Field(
-        default_factory=lambda: PaceLimits().client_calls_per_s,
-        gt=0,
-        description="calls of one API key that may begin a second, whatever they ask for; further ones wait, and are "
-        "refused where that takes more than 3 s",
-    )
-    tenant_calls_per_s: float = Field(
-        default_factory=lambda: PaceLimits().tenant_calls_per_s, gt=0, description="as above, of one tenant"
-    )
-    clouds_at_once: int = Field(
-        default_factory=lambda: CapacityLimits().clouds,
-        ge=1,
-        description="clouds in flight (received, not yet stored), a tenant at most three quarters of them; further "
-        "posts are refused, streams wait",
-    )
-    max_streams: int = Field(default=256, ge=1, le=256, description="open streams of scans")
     streams_per_client: int = Field(default=8, ge=1, description="open streams of scans of one API key")
-    answers_kept_h: float = Field(
-        default=24.0,
-        gt=0,
-        description="hours for which the operation of a query by cloud can be read after its end, with the answer",
-    )
-    events_kept: int = Field(
-        default=50_000,
-        ge=1000,
-        description="events of a tenant that are kept for those who watch and were away: about 4 for each submap",
-    )
     webhook_private_networks: bool = Field(
         default=False,
         description="webhooks may lead to loopback, link-local and private addresses, and over plain HTTP: whoever "
@@ -95,16 +102,7 @@ class Settings(AccessSettings):
         default=1,
         ge=0,
         description="accepted loop closures that the pose graph of a map has not seen yet, from which on the map is "
-        "optimised by itself; 0 for only when somebody asks",
-    )
-    optimise_delay_s: float = Field(
-        default=5.0,
-        ge=0,
-        description="how long the loops before an optimisation settle: more come together; as long again for every "
-        "500 accepted loops of the map, because a larger one takes longer",
-    )
-    map_versions_kept: int = Field(
-        default=20, ge=1, description="versions of a map's poses that are kept; older ones cannot be brought back"
+        "optimised by itself, once they have settled for a few seconds; 0 for only when somebody asks",
     )
     jobs_per_worker: int = Field(default=500, ge=1, description="jobs after which a worker is replaced")
     job_timeout_s: float = Field(
@@ -225,27 +223,17 @@ class Settings(AccessSettings):
             lease_ms=int(self.lease_s * 1000),
             tenant_storage_bytes=None if self.tenant_storage_mb is None else self.tenant_storage_mb * 2**20,
             optimise_after_loops=self.optimise_after_loops,
-            optimise_delay_ms=int(self.optimise_delay_s * 1000),
-            map_versions_kept=self.map_versions_kept,
             webhook_private_networks=self.webhook_private_networks,
         )
 
     @property
     def capacity(self) -> CapacityLimits:
-        """The rate limits, and how many clouds and streams may be in flight."""
+        """The rate limits, and how many streams a client may have."""
         return CapacityLimits(
-            points_per_s=self.points_per_s,
             tenant_points_per_s=self.tenant_points_per_s,
             client_points_per_s=self.client_points_per_s,
-            clouds=self.clouds_at_once,
-            streams=self.max_streams,
             client_streams=self.streams_per_client,
         )
-
-    @property
-    def pace(self) -> PaceLimits:
-        """How many calls may begin each second."""
-        return PaceLimits(client_calls_per_s=self.client_calls_per_s, tenant_calls_per_s=self.tenant_calls_per_s)
 
     @property
     def host_names(self) -> frozenset[str]:

@@ -12,7 +12,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from revisit.core.errors import BadField
-from revisit.service.settings import Settings
+from revisit.service.settings import GONE, Settings
 
 PREFIX = "REVISIT_"
 
@@ -32,19 +32,27 @@ class UnusableSettings(BadField):
 
 def settings_here(home: Path | None = None) -> Settings:
     """The settings of the environment, with another data folder where `home` is given. Raises UnusableSettings."""
-    misspelt = [f"{name} is no setting: did you mean {nearest}?" for name, nearest in misspellings(os.environ)]
-    if misspelt:
-        raise UnusableSettings("\n".join(misspelt))
+    unknown = [f"{PREFIX}{name} is gone: {reason}. Unset it" for name, reason in gone(os.environ)]
+    unknown += [f"{name} is no setting: did you mean {nearest}?" for name, nearest in misspellings(os.environ)]
+    if unknown:
+        raise UnusableSettings("\n".join(unknown))
     try:
         return Settings(home=home) if home else Settings()
     except ValidationError as error:
         raise UnusableSettings("\n".join(_named(finding) for finding in error.errors())) from error
 
 
+def gone(variables: Iterable[str]) -> list[tuple[str, str]]:
+    """Former settings among the variables, without their prefix, each with the constant in its place."""
+    set_here = {name.removeprefix(PREFIX) for name in variables if name.startswith(PREFIX)}
+    return [(name.upper(), reason) for name, reason in GONE.items() if name.upper() in set_here]
+
+
 def misspellings(variables: Iterable[str]) -> list[tuple[str, str]]:
     """Variables REVISIT_* that are no setting but like one, each with the nearest name."""
     known = [*(name.upper() for name in Settings.model_fields), *OF_CLIENTS]
-    unknown = (name for name in variables if name.startswith(PREFIX) and name.removeprefix(PREFIX) not in known)
+    meant = {*known, *(name.upper() for name in GONE)}
+    unknown = (name for name in variables if name.startswith(PREFIX) and name.removeprefix(PREFIX) not in meant)
     found = []
     for name in sorted(unknown):
         rest = name.removeprefix(PREFIX)

@@ -9,7 +9,7 @@ from pydantic import ValidationError
 
 from revisit.service.application import Policy
 from revisit.service.application.contract.identity import content_hash, validated_id
-from revisit.service.settings import Settings
+from revisit.service.settings import FOR_TESTS, GONE, GROUPS, Settings
 from tests.support.records import a_map
 
 
@@ -26,6 +26,12 @@ def test_the_defaults_listen_on_loopback_only():
     settings = Settings()
     assert (settings.host, settings.http_port, settings.grpc_port) == ("127.0.0.1", 8080, 8090)
     assert not settings.exposed and settings.workers >= 1
+
+
+def test_every_setting_is_in_one_group_or_for_tests_and_none_of_them_is_gone():
+    shown = [name for names in GROUPS.values() for name in names]
+    assert sorted([*shown, *FOR_TESTS]) == sorted(Settings.model_fields)
+    assert len(GROUPS) == 4 and GONE.keys().isdisjoint(Settings.model_fields)
 
 
 @pytest.mark.parametrize(

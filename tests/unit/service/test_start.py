@@ -72,6 +72,12 @@ def test_a_misspelt_setting_ends_the_start_with_the_nearest_name(variable, neare
     assert capsys.readouterr().err == f"{variable} is no setting: did you mean {nearest}?\n"
 
 
+def test_a_setting_that_is_gone_ends_the_start_with_what_stands_in_its_place(monkeypatch, capsys):
+    monkeypatch.setenv("REVISIT_MAP_VERSIONS_KEPT", "7")
+    assert main(["serve"]) == 78
+    assert capsys.readouterr().err == "REVISIT_MAP_VERSIONS_KEPT is gone: 20 versions of a map are kept. Unset it\n"
+
+
 def test_a_command_refuses_a_misspelt_setting_in_one_line(monkeypatch, capsys):
     monkeypatch.setenv("REVISIT_HOEM", "elsewhere")
     monkeypatch.setattr("sys.argv", ["revisit", "keys", "list"])
