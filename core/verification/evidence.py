@@ -22,14 +22,14 @@ _SURE_DEVIATIONS = 2.0  # standard deviations of a share of half of these points
 
 @dataclass(frozen=True)
 class Evidence:
-    """What an alignment of two places is worth.
+    """The evidence of an alignment of two places.
 
     overlap 0..1: the share of the standing surface in the region both have seen that lies on the other's surface, the
     mean of both directions. rmse_m: of the point-to-plane residuals of the points that do. information (6, 6): of the
     tangent (x, y, z, rx, ry, rz) in the match frame, of unit variance residuals. common: the smaller number of standing
     points in the shared region. contrast: how much of the overlap is lost when the query is moved along the horizontal
     direction that the surfaces fix least; near 0 where any place along a street or hedge would fit as well.
-    seen_through 0..1: the share of what stands in either place, as far as the other has looked there, that the other
+    seen_through 0..1: the share of structure in either place, as far as the other has looked there, that the other
     has looked through. Contrast and seen_through have their worst values, 0 and 1, where the registration was given up,
     or where there is so little overlap that they would decide nothing.
     """
@@ -45,7 +45,7 @@ class Evidence:
 def gather_evidence(
     registration: Registration, query: OrientedPoints, match: OrientedPoints, config: VerificationConfig
 ) -> Evidence:
-    """All evidence about a registration; what costs time only where it was refined."""
+    """All evidence about a registration; the costly parts only where it was refined."""
     T_match_query = registration.T_match_query
     directions = (T_match_query, query, match), (se3.inverse(T_match_query), match, query)
     forward, backward = contact_in_poses(directions, config)
@@ -58,7 +58,7 @@ def gather_evidence(
         contrast=0.0,
         seen_through=1.0,
     )
-    if not registration.refined or overlap < config.min_overlap:  # then it is rejected whatever they are
+    if not registration.refined or overlap < config.min_overlap:  # then it is rejected anyway
         return found
     standing = query.standing.moved(T_match_query)
     return replace(
@@ -90,7 +90,7 @@ def contrast(
 def mutually_seen_through(
     T_match_query: se3.Matrix4, query: OrientedPoints, match: OrientedPoints, config: VerificationConfig
 ) -> float:
-    """The share of what stands in either place, where the other tells anything of it, that the other looked through."""
+    """The share of either place, as far as the other tells of it, that the other looked through."""
     views = query.kept(_view, config.sight_angle), match.kept(_view, config.sight_angle)
     of_query = seen_through(query.standing.points, T_match_query, views[1], config)
     of_match = seen_through(match.standing.points, se3.inverse(T_match_query), views[0], config)

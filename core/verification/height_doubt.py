@@ -25,7 +25,7 @@ _LEAST_PAIRS = 5
 
 
 def height_doubt_m(query: OrientedPoints, match: OrientedPoints, T_match_query: se3.Matrix4) -> float:
-    """Standard deviation, metres, of the height of `T_match_query` (4, 4) beyond what residuals say; 0 mostly.
+    """Standard deviation, metres, of the height of `T_match_query` (4, 4) beyond its residuals; 0 mostly.
 
     Both surfaces in their level frames. Counted are pairs of points that look up, one of each surface, less than 0.8 m
     apart in the plan, by how far one lies above the other. At a right height most lie level. Where two fifths as many

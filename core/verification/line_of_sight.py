@@ -1,4 +1,4 @@
-"""Free space as evidence against an alignment: what one place has looked through cannot stand there in the other.
+"""Free space as evidence against an alignment: nothing of one place stands where the other has looked through.
 
 A place holds surface points and no rays. But a sensor that saw a surface in some direction saw nothing in front of it
 (docs/decisions/0018).
@@ -20,7 +20,7 @@ Array64 = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class View:
-    """What a place has seen from its origin: nearest ranges (columns, rows) in metres, and the least around each."""
+    """The view of a place from its origin: nearest ranges (columns, rows) in metres, and the least around each."""
 
     ranges: Array64
     around: Array64

@@ -1,4 +1,4 @@
-"""Phase correlation: how an image of what stands in a place, turned and shifted, fits that of another one."""
+"""Phase correlation: how an image of a place's structure, turned and shifted, fits that of another one."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class Agreement:
 def agreements(points: Array64, yaws: Sequence[float], spectrum: Spectrum, pixel: float) -> list[Agreement]:
     """For each of `yaws` the best shift, and that for half a turn more.
 
-    points (n, 2) of what stands, seen from above, metres; spectrum that of the other image, of edge `pixel` metres.
+    points (n, 2) of structure, seen from above, metres; spectrum that of the other image, of edge `pixel` metres.
     """
     size, found = len(spectrum), []
     for yaw in yaws:

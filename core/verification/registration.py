@@ -57,7 +57,7 @@ def register(
     """Point-to-plane ICP from the best of `starts` (each T_match_query), coarse first and then fine.
 
     All starts are refined by a few coarse steps on few points; the one on which most of them agree then goes on alone
-    (docs/decisions/0024). Where too little of what stands lies on the other surface after the coarse steps, there are
+    (docs/decisions/0024). Where too little of the structure lies on the other surface after the coarse steps, there are
     no fine ones: most candidates are no loops, and fine steps cost time.
     """
     if len(starts) == 1:

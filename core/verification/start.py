@@ -63,7 +63,7 @@ def start_at(T_match_query: se3.Matrix4, query: Place, match: Place, config: Ver
 
 
 def correlate(query: Place, match: Place, config: VerificationConfig) -> list[PlanarPose]:
-    """Planar poses by phase correlation of coarse images of what stands, most similar first.
+    """Planar poses by phase correlation of coarse images of the structure, most similar first.
 
     The amplitude spectra do not depend on the translation and give the yaw up to 180 degrees. For both directions the
     translation then follows by correlation.
@@ -102,7 +102,7 @@ def _are_opposite(one: float, other: float) -> bool:
 
 @dataclass(frozen=True)
 class SeenFromAbove:
-    """What stands in a place as an image: its spectrum, and that over angle (91, radii) of its polar amplitude."""
+    """The structure of a place as an image: its spectrum, and that over angle (91, radii) of its polar amplitude."""
 
     spectrum: NDArray[np.complex64]
     polar: NDArray[np.complex128]
@@ -134,7 +134,7 @@ def raster(points: Array64, pixel: float, yaw: float = 0.0) -> Array64:
 
 
 def _standing_plan(place: Place) -> Array64:
-    """What stands in a place, seen from above (n, 2)."""
+    """The standing structure of a place, seen from above (n, 2)."""
     return np.ascontiguousarray(place.points[: place.standing_count, :2].astype(np.float64))
 
 

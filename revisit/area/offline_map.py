@@ -1,4 +1,4 @@
-"""A map file as a memory of places: what a robot without a link asks.
+"""A map file as a memory of places, for a robot without a link.
 
 The answers are those of the service, up to what storing a neural map rounds: its places are made again from its neural
 maps. Needs the extra `service`, which holds the method.
@@ -186,7 +186,7 @@ class AreaMap:
 
 
 def config_of(description: MapDescription) -> PipelineConfig:
-    """The parameters of the method with what the map overrides."""
+    """The parameters of the method with the overrides of the map."""
     rules = ("min_score", "min_overlap", "max_seen_through")
     return PipelineConfig().of_map(
         description.scene_scale,

@@ -14,7 +14,7 @@ npz is not accepted: it is a zip of arrays, and npy says the same in fewer bytes
 One rule refuses most bad files: the declared size must equal the bytes present, checked in Python integers before
 anything is allocated. Every failure is one of
 
-    MalformedBody          the bytes are not what the format says
+    MalformedBody          the bytes break the format
     BadField               a valid file without usable x, y, z
     UnsupportedEncoding    unknown media type or encoding, or the magic bytes of another format
     TooLarge               more bytes or points than `CloudLimits` permits

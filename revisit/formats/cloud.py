@@ -1,6 +1,6 @@
-"""What every parser returns, and how much it may be asked to take: points, bytes, and bytes that are compressed.
+"""The result of every parser, and its limits: points, bytes, and compressed bytes.
 
-The cap on what zstd and gzip yield is decided while it comes out.
+The cap on the output of zstd and gzip holds while it comes out.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ FAR_M = 8192.0
 
 MAX_WINDOW_BYTES = 8 * 2**20
 ALWAYS_ALLOWED_BYTES = 65_536
-# One zstd block of 4 bytes may yield 128 KiB, so small pieces bound what one call can produce (16 MiB).
+# One zstd block of 4 bytes may yield 128 KiB, so small pieces bound the output of one call (16 MiB).
 _PIECE_BYTES = 512
 
 
@@ -121,7 +121,7 @@ def _records(body: memoryview, count: int, stride: int, wanted: list[Column]) ->
 
 
 def require_exact_size(declared: int, present: int, count: int, limits: CloudLimits) -> None:
-    """Refuse a body that does not hold exactly what its header declares, then one with too many points.
+    """Refuse a body that does not match its header exactly, then one with too many points.
 
     Python integers, so that nothing overflows, and before anything is allocated. Raises MalformedBody, TooLarge.
     """

@@ -67,7 +67,7 @@ def encode_scene(
 
 
 def _step(vertices: NDArray[np.floating], faces: NDArray[np.int64]) -> float:
-    """What positions are rounded to, metres."""
+    """The step of positions, metres."""
     edges = np.linalg.norm(vertices[faces[:, 0]] - vertices[faces[:, 1]], axis=1)
     return max(float(edges.mean()) / 25.0, float(np.ptp(vertices, axis=0).max()) / 65535.0, 1e-6)
 

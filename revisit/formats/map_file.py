@@ -1,6 +1,6 @@
 """A version of a map as one file that never changes: a ZIP archive of poses, descriptors and neural maps.
 
-manifest.json      what the map is, in the words of VDA 5050, and the SHA-256 and size of every other member
+manifest.json      the map in the words of VDA 5050, and the SHA-256 and size of every other member
 submaps.json       name, time, frame, T_map_submap, T_odom_submap and neural map of each submap
 descriptors.f32    one row a submap, little-endian float32
 neural/SHA256      the neural maps, each once
@@ -37,9 +37,9 @@ _EPOCH = (1980, 1, 1, 0, 0, 0)
 
 @dataclass(frozen=True)
 class MapDescription:
-    """What a file says of its map. mapId and mapVersion are those of VDA 5050.
+    """The manifest of a map file. mapId and mapVersion are those of VDA 5050.
 
-    The others are what a query has to be described by: model, scale and windows of the map, and its rules for loops.
+    The others are needed to describe a query: model, scale and windows of the map, and its rules for loops.
     """
 
     map_id: str
@@ -176,7 +176,7 @@ class MapFile:
 
 @dataclass(frozen=True)
 class MapDifference:
-    """What one file of a map has and another has not: names of submaps; how far those of both have moved, metres, where
+    """Differences of two map files: names of submaps in one alone; how far those of both have moved, metres, where
     they are in one frame; how many bytes of the newer file the older one has already.
     """
 
@@ -189,7 +189,7 @@ class MapDifference:
 
 
 def difference(older: MapFile, newer: MapFile) -> MapDifference:
-    """What changed from one version to another."""
+    """Changes from one version to another."""
     before, after = ({one.name: one for one in file.submaps} for file in (older, newer))
     both = sorted(before.keys() & after.keys())
     same_frame = [name for name in both if before[name].frame == after[name].frame]
@@ -212,7 +212,7 @@ def _gap_m(one: Matrix4, other: Matrix4) -> float:
 
 
 def _add(archive: zipfile.ZipFile, name: str, data: bytes) -> dict[str, Any]:
-    """Write a member without time and rights; what the manifest says of it."""
+    """Write a member without time and rights; its entry of the manifest."""
     info = zipfile.ZipInfo(name, _EPOCH)
     info.create_system = 3
     info.external_attr = 0o644 << 16
@@ -237,7 +237,7 @@ def _object(archive: zipfile.ZipFile, name: str) -> dict[str, Any]:
 
 
 def _checked(entry: Mapping[str, Any]) -> Mapping[str, Any]:
-    """What the manifest says of a member: its size in bytes and its hash. Raises ValueError, TypeError, LookupError."""
+    """A member of the manifest: size in bytes and hash. Raises ValueError, TypeError, LookupError."""
     size, sha256 = entry["bytes"], entry["sha256"]
     if type(size) is not int or size < 0 or not isinstance(sha256, str):
         raise ValueError("a member of the map file has no size or no hash")

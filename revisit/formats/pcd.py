@@ -57,7 +57,7 @@ class _Header:
 def decode(data: bytes, limits: CloudLimits) -> DecodedCloud:
     """The x, y, z and intensity fields of a PCD file.
 
-    The file must hold exactly what its header declares. Raises MalformedBody, BadField, TooLarge.
+    The file must match its header exactly. Raises MalformedBody, BadField, TooLarge.
     """
     header, start = _read_header(data)
     if header.encoding == "ascii":

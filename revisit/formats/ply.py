@@ -73,7 +73,7 @@ class _Element:
 def decode(data: bytes, limits: CloudLimits) -> DecodedCloud:
     """The x, y, z and intensity properties of the vertices of a PLY file.
 
-    The file must hold exactly what its header declares, faces and other elements included.
+    The file must match its header exactly, faces and other elements included.
     Raises MalformedBody, BadField where a coordinate is missing, a list or no float, TooLarge.
     """
     elements, encoding, start = _read_header(data)
@@ -117,7 +117,7 @@ def encode_mesh(vertices: NDArray[np.floating], normals: NDArray[np.floating], f
 
 
 def _header(vertices: NDArray[np.void], face_count: int | None) -> bytes:
-    """What a file says of its vertices, which are records, and of its faces."""
+    """The declared vertices, which are records, and faces of a file."""
     lines = ["ply", "format binary_little_endian 1.0", f"element vertex {len(vertices)}"]
     lines += [f"property {'double' if kind == '<f8' else 'float'} {name}" for name, kind in kinds_of(vertices).items()]
     if face_count is not None:

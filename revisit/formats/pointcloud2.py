@@ -14,7 +14,7 @@ r"""Packed clouds, `application/vnd.revisit.pointcloud2`: sensor_msgs/PointCloud
                    quantised: one quantised cloud of width x height points
 
 Datatypes are those of sensor_msgs/PointField: 1 INT8, 2 UINT8, 3 INT16, 4 UINT16, 5 INT32, 6 UINT32, 7 FLOAT32,
-8 FLOAT64. The same `PackedCloud` is what the gRPC message of that name carries, so a cloud has one meaning everywhere.
+8 FLOAT64. The gRPC message of that name carries the same `PackedCloud`, so a cloud has one meaning everywhere.
 """
 
 from __future__ import annotations
@@ -143,7 +143,7 @@ def decode_packed(packed: PackedCloud, limits: CloudLimits) -> DecodedCloud:
 
 
 def decode_coordinates(packed: PackedCloud, limits: CloudLimits) -> NDArray[np.float64]:
-    """The coordinates (n, 3) of a packed cloud, of full precision. Raises what `decode_packed` raises."""
+    """The coordinates (n, 3) of a packed cloud, of full precision. Raises as `decode_packed` does."""
     if packed.encoding != Encoding.RAW:
         return decode_packed(packed, limits).points.astype(np.float64)
     return coordinates_from_records(*_checked(packed, limits))
@@ -172,7 +172,7 @@ def pack(
 
 
 def decode(data: bytes, limits: CloudLimits) -> DecodedCloud:
-    """The cloud in a body of this media type. Raises what `decode_packed` raises."""
+    """The cloud in a body of this media type. Raises as `decode_packed` does."""
     return decode_packed(PackedCloud.from_bytes(data), limits)
 
 

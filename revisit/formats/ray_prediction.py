@@ -1,4 +1,4 @@
-"""What a point of a scan is expected to be, by the two before it: neighbours on a ring lie on neighbouring rays.
+"""The expected point of a scan, by the two before it: neighbours on a ring lie on neighbouring rays.
 
 The error of a LiDAR lies along the ray, so once one coordinate of a point is known, its ray tells the others. All
 numbers are integers, steps of a grid. With `a` the horizontal coordinate that was the larger one at the point before
@@ -39,7 +39,7 @@ class Prediction(IntEnum):
 
 
 def residuals(grid: NDArray[np.float64]) -> tuple[list[Column], Prediction, Prediction]:
-    """What is left of points (n, 3) of whole numbers when what is expected is taken off: columns a, b and z, each (n,).
+    """Residuals of points (n, 3) of whole numbers against the expected ones: columns a, b and z, each (n,).
 
     And how b and z are expected: whichever leaves least.
     """
