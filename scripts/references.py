@@ -170,7 +170,7 @@ def _rest_parts() -> Iterator[str]:
     from revisit.service.rest.app import create_app
 
     document = create_app(cast(UseCases, None)).openapi()
-    for path, methods in document["paths"].items():
+    for path, methods in sorted(document["paths"].items()):
         for method, call in methods.items():
             yield f"### {method.upper()} {path}"
             yield str(call.get("description", call["summary"]))
@@ -204,11 +204,11 @@ def _meanings() -> Iterator[tuple[str, list[str]]]:
     """Each code with what the exceptions that carry it say by default."""
     from revisit.core import errors as of_core
     from revisit.service.application.contract import errors as of_service
-    from revisit.service.grpc.servicers import ingest
+    from revisit.service.grpc import scan_streams
     from revisit.service.rest import errors as of_rest
 
     found: dict[str, list[str]] = {}
-    modules = (of_core, of_service, of_rest, ingest)
+    modules = (of_core, of_service, of_rest, scan_streams)
     for module in modules:
         for kind in vars(module).values():
             if inspect.isclass(kind) and issubclass(kind, of_core.RevisitError) and kind.__doc__:

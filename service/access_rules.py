@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 
 from pydantic import BaseModel, ConfigDict, TypeAdapter, ValidationError
 
+from revisit.api.scopes import Scope
 from revisit.service.access_settings import AccessSettings
 from revisit.service.application.access.admission import AccessRules, CertificateGrant
-from revisit.service.application.access.callers import Scope
 from revisit.service.application.contract.identity import TenantId, validated_id
 
 if TYPE_CHECKING:

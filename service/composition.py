@@ -167,7 +167,7 @@ def chores(settings: Settings, installation: Installation, fail_stop: FailStop) 
 def build_deliveries(settings: Settings, installation: Installation) -> Deliveries:
     """What sends events to webhooks."""
     from revisit.service.adapters.webhook_sender import HttpWebhookSender  # workers need none of what these bring
-    from revisit.service.wire.webhook_body import webhook_body
+    from revisit.service.calls.push import webhook_body
 
     sender = HttpWebhookSender(private_networks=settings.webhook_private_networks)
     return Deliveries(installation.storage, sender, installation.clock, webhook_body)

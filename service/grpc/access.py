@@ -1,106 +1,19 @@
-"""Who may call which RPC: every RPC is in this table, or the server does not start."""
+"""Who may call which RPC, by the list of calls; and whether an open stream may go on."""
 
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator, Iterable
+from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from typing import Any
 
-from google.protobuf.descriptor import ServiceDescriptor
-
+from revisit.api.calls import CALLS, Call
 from revisit.core.errors import RevisitError
 from revisit.service.application import UseCases
 from revisit.service.application.access.admission import STREAM_RECHECK_S, Credential
-from revisit.service.application.access.callers import Scope, enter
+from revisit.service.application.access.callers import enter
 from revisit.service.application.contract.errors import PermissionDenied, TooManyFailures, Unauthenticated
 from revisit.service.grpc.strangers import Strangers
-
-_INGEST = frozenset({Scope.INGEST})
-_QUERY = frozenset({Scope.QUERY})
-_ADMIN = frozenset({Scope.ADMIN})
-_EITHER = _INGEST | _QUERY
-
-SCOPES: dict[str, dict[str, frozenset[Scope]]] = {
-    "MapService": {"CreateMap": _INGEST, "GetMap": _EITHER, "ListMaps": _EITHER, "DeleteMap": _ADMIN},
-    "RobotService": {"CreateRobot": _INGEST, "GetRobot": _EITHER, "ListRobots": _EITHER},
-    "SessionService": {
-        "CreateSession": _INGEST,
-        "GetSession": _EITHER,
-        "ListSessions": _EITHER,
-        "FinishSession": _INGEST,
-        "DeleteSession": _ADMIN,
-    },
-    "SubmapService": {
-        "PostSubmap": _INGEST,
-        "GetSubmap": _EITHER,
-        "ListSubmaps": _EITHER,
-        "DownloadSubmap": _QUERY,
-        "DeleteSubmap": _ADMIN,
-    },
-    "IngestService": {"StreamScans": _INGEST},
-    "LoopClosureService": {
-        "SearchSubmaps": _QUERY,
-        "Localize": _QUERY,
-        "GetLoopClosure": _QUERY,
-        "ListLoopClosures": _QUERY,
-        "WatchLoopClosures": _QUERY,
-        "CreateLoopClosure": _ADMIN,
-        "AcceptLoopClosure": _ADMIN,
-        "RejectLoopClosure": _ADMIN,
-        "RevertLoopClosure": _ADMIN,
-        "ListLoopClosureEvents": _QUERY,
-        "GetLoopClosureKeypoints": _QUERY,
-    },
-    "WebhookService": dict.fromkeys(
-        (
-            "CreateWebhook",
-            "GetWebhook",
-            "ListWebhooks",
-            "DeleteWebhook",
-            "ResumeWebhook",
-            "ListWebhookDeliveries",
-        ),
-        _ADMIN,
-    ),
-    "EventService": {"WatchEvents": _QUERY},
-    "MappingService": {
-        "OptimiseMap": _INGEST | _ADMIN,
-        "ListMapVersions": _EITHER,
-        "GetMapVersion": _EITHER,
-        "ListSubmapPoses": _EITHER,
-        "RevertMap": _ADMIN,
-        "MergeMap": _ADMIN,
-        "ListMapMerges": _EITHER,
-        "GetMapMerge": _EITHER,
-        "RevertMapMerge": _ADMIN,
-        "GetCorrection": _EITHER,
-        "WatchCorrections": _EITHER,
-    },
-    "MapTileService": {
-        "ListMapTiles": _EITHER,
-        "DownloadMapTile": _QUERY,
-        "MeasureMapDistances": _QUERY,
-        "FindMapPoints": _QUERY,
-    },
-    "MapFileService": {
-        "PublishMapFile": _ADMIN,
-        "GetMapFile": _EITHER,
-        "ListMapFiles": _EITHER,
-        "EnableMapFile": _ADMIN,
-        "DeleteMapFile": _ADMIN,
-        "DownloadMapFile": _EITHER,
-    },
-    "OperationService": {
-        "GetOperation": _EITHER,
-        "ListOperations": _EITHER,
-        "WaitOperation": _EITHER,
-        "RetryOperation": _ADMIN,
-        "CancelOperation": _INGEST | _ADMIN,
-    },
-    "SystemService": {"GetStatus": _EITHER},
-}
-"""Of the scopes of an RPC, a caller needs one."""
 
 
 class Gate:
@@ -120,12 +33,12 @@ class Gate:
         Raises Unauthenticated, PermissionDenied, TooManyFailures, RateLimited.
         """
         shown, peer = credential_of(context), str(context.peer())
-        enter(await self._access.admit_call(shown, _scopes_of(method), method))
+        enter(await self._access.admit_call(shown, call_of(method).row.scopes, method))
         self._strangers.admit(peer)
 
     async def verify(self, method: str, shown: Credential) -> None:
         """As `admit`, again, for what the caller of an open stream has shown."""
-        enter(await self._access.admit(shown, _scopes_of(method), method))
+        enter(await self._access.admit(shown, call_of(method).row.scopes, method))
 
     async def admit_public(self, peer: str) -> None:
         """Return when a call that needs no credential may begin. Raises RateLimited."""
@@ -190,15 +103,6 @@ def _address_of(peer: str) -> str:
     return peer.rpartition(":")[0]
 
 
-def _scopes_of(method: str) -> frozenset[Scope]:
-    """Of these scopes, a caller of `/revisit.v1.Service/Method` needs one."""
-    service, name = method.rsplit("/", 1)
-    return SCOPES[service.rpartition(".")[2]][name]
-
-
-def require_declared_scopes(services: Iterable[ServiceDescriptor]) -> None:
-    """Raises RuntimeError where an RPC is not in the table."""
-    for service in services:
-        for method in service.methods:
-            if not SCOPES.get(service.name, {}).get(method.name):
-                raise RuntimeError(f"{service.full_name}/{method.name} does not declare who may call it")
+def call_of(path: str) -> Call:
+    """The call of `/revisit.v1.Service/Method`."""
+    return CALLS[path.rpartition("/")[2]]

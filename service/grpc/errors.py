@@ -19,6 +19,7 @@ from google.protobuf.duration_pb2 import Duration
 from google.protobuf.message import DecodeError, Message
 from google.rpc import error_details_pb2, status_pb2  # type: ignore[import-untyped]  # ships no types
 
+from revisit.api.calls import Cost
 from revisit.core.errors import MalformedBody, RevisitError, TooLarge
 from revisit.service.application.access.callers import current_actor, current_tenant
 from revisit.service.application.capacity.byte_budget import ByteBudget, HeldBytes
@@ -26,7 +27,7 @@ from revisit.service.application.capacity.call_slots import CallSlots
 from revisit.service.application.capacity.slots import Slots
 from revisit.service.application.contract.errors import DeadlineExceeded
 from revisit.service.application.contract.tracing import current_request
-from revisit.service.grpc.access import Gate
+from revisit.service.grpc.access import Gate, call_of
 from revisit.service.grpc.public_calls import PublicCalls
 from revisit.service.grpc.tracing import OWN_METHODS, REQUEST_ID
 from revisit.service.status import ERROR_DOMAIN, STATUS, retry_after_s
@@ -43,18 +44,14 @@ PUBLIC_MESSAGE_S = 10.0
 UNREAD_S = 60.0
 """A client that does not take a message of a stream for so long loses the stream."""
 
-WITH_CLOUD = frozenset({"PostSubmap", "SearchSubmaps", "Localize"})
-"""Unary calls whose message may be large; that of any other has at most `SMALL_MESSAGE_BYTES`."""
-
 SMALL_MESSAGE_BYTES = 64 * 2**10
+"""Of the message of a call that carries no cloud."""
 
 LARGEST_MESSAGE_BYTES = 16 * 2**20
 
 HELD_FORMS = 2
 """A message is held in so many forms until its call is answered: parsed, and as the bytes of its cloud."""
 
-_LASTING = frozenset({"WatchLoopClosures", "WatchCorrections", "WatchEvents"})
-_STREAMS = frozenset({"StreamScans"})
 
 M = TypeVar("M")
 
@@ -152,13 +149,13 @@ def _guarded(handler: Any, method: str, gate: Gate, slots: CallSlots, budget: By
 
 def _kind_of(method: str, slots: CallSlots) -> Slots:
     """The slots that the calls of `/revisit.v1.Service/Method` hold."""
-    name = method.rpartition("/")[2]
-    return slots.streams if name in _STREAMS else slots.watches if name in _LASTING else slots.calls
+    held = {Cost.SCANS: slots.streams, Cost.WATCH: slots.watches}
+    return held.get(call_of(method).row.cost, slots.calls)
 
 
 async def _message(method: str, parse: Callable[[bytes], Any], requests: AsyncIterator[bytes], held: HeldBytes) -> Any:
     """The parsed message of a unary call, within the budget. Raises TooLarge, WorkersBusy and what `_only` raises."""
-    if method.rpartition("/")[2] not in WITH_CLOUD:
+    if call_of(method).row.cost is not Cost.CLOUD:
         message = await _only(requests, PUBLIC_MESSAGE_S)
         if len(message) > SMALL_MESSAGE_BYTES:
             raise TooLarge(f"a message of this call may have at most {SMALL_MESSAGE_BYTES} bytes")

@@ -14,14 +14,18 @@ from fastapi.security import SecurityScopes
 from starlette.requests import Request
 from starlette.routing import BaseRoute
 
+from revisit.api.calls import Call, Form
+from revisit.api.scopes import Scope
 from revisit.core.errors import RevisitError
 from revisit.service.application.access.admission import STREAM_RECHECK_S, Credential
-from revisit.service.application.access.callers import Scope, enter
+from revisit.service.application.access.callers import enter
 from revisit.service.application.capacity.call_slots import CallSlots
 from revisit.service.application.contract.errors import PermissionDenied, TooManyFailures, Unauthenticated
 from revisit.service.rest.door import VOUCH
 from revisit.service.rest.event_stream import gone
+from revisit.service.rest.paths import path_of
 from revisit.service.rest.tracing import PROBES, call_of
+from revisit.v1.comments import COMMENTS
 
 SCHEME = "bearer"
 
@@ -69,9 +73,21 @@ async def anyone(request: Request) -> None:
         await request.app.state.use_cases.access.admit_public(_address_of(request))
 
 
-def allows(*scopes: Scope) -> Any:
-    """Declares that a route is for callers with one of `scopes`."""
-    return Security(admitted, scopes=list(scopes))
+def allows(call: Call) -> Any:
+    """Declares that a route is for callers with one of the scopes of a call."""
+    return Security(admitted, scopes=[scope for scope in Scope if scope in call.row.scopes])
+
+
+def served(call: Call, *dependencies: Any) -> dict[str, Any]:
+    """The arguments of a call's route that its row says: path, method, name, description, group, and who may call."""
+    return {
+        "path": path_of(call),
+        "methods": [call.row.http.partition(" ")[0]],
+        "name": call.use,
+        "description": COMMENTS[call.method.full_name] if call.row.form is Form.MESSAGE else None,
+        "tags": [call.tag],
+        "dependencies": [allows(call), *dependencies],
+    }
 
 
 PUBLIC = Depends(anyone)

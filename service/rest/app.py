@@ -24,32 +24,15 @@ from revisit.service.rest.middleware import (
     RequestSlots,
     RequestTimer,
 )
-from revisit.service.rest.routes import (
-    events,
-    loops,
-    map_files,
-    mapping,
-    maps,
-    operations,
-    page,
-    robots,
-    searches,
-    sessions,
-    submaps,
-    system,
-    tiles,
-    webhooks,
-)
+from revisit.service.rest.routes import clouds, downloads, events, messages, page, searches, system
 from revisit.service.rest.schemas import Problem
 from revisit.service.rest.tracing import RequestTracing
 from revisit.service.status import STATUS
 
 API_VERSION = "1"
 
-ROUTES = (
-    mapping, tiles, map_files, maps, robots, searches, submaps, sessions, loops, events, webhooks,
-    operations, system, page,
-)  # fmt: skip
+BODIES_AND_FILES = (searches, clouds, downloads, events)
+"""Written by hand: bodies that are clouds, answers that are files or streams."""
 
 
 def create_app(
@@ -78,8 +61,12 @@ def create_app(
     app.state.limits = limits
     app.state.long_bodies = Turns(LONG_BODIES_AT_A_TIME, of_tenant=1)
     app.state.slots = CallSlots(limits.calls)
-    for module in ROUTES:
+    # Asked in this order: the page's many files last.
+    for module in BODIES_AND_FILES:
         app.include_router(module.router)
+    messages.add_routes(app, use_cases)
+    app.include_router(system.router)
+    app.include_router(page.router)
     require_declared_scopes(app)
     install_error_handlers(app)
     app.add_middleware(BodyLimit, limits=limits)

@@ -16,8 +16,8 @@ from starlette.types import Message, Receive, Scope, Send
 from revisit.core.errors import RevisitError
 from revisit.service.application.capacity.call_slots import watching
 from revisit.service.application.push.events import EventView
+from revisit.service.calls.push import event_fields
 from revisit.service.rest.errors import problem
-from revisit.service.wire.answers import of_event
 from revisit.service.wire.json_form import json_form
 from revisit.v1 import event_pb2
 
@@ -82,7 +82,7 @@ def text_of(event: EventView | None) -> str:
     """An event as it is sent; None is a comment, which clients ignore."""
     if event is None:
         return ": alive\n\n"
-    data = to_json(json_form(event_pb2.Event, of_event(event)), inf_nan_mode="null").decode()
+    data = to_json(json_form(event_pb2.Event, event_fields(event)), inf_nan_mode="null").decode()
     return f"id: {event.number}\nevent: {event.kind.value.lower()}\ndata: {data}\n\n"
 
 

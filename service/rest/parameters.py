@@ -12,15 +12,16 @@ from revisit.core.geometry import se3
 from revisit.core.geometry.se3 import Matrix4
 from revisit.service.application import SessionKey, SubmapKey, TenantId, UseCases
 from revisit.service.application.access.callers import current_tenant
-from revisit.service.application.catalogue.paging import PageRequest
 from revisit.service.application.contract import limits
 from revisit.service.application.ingest.clouds import EncodedCloud
 from revisit.service.application.query.freshness import DEFAULT_WAIT_S, Freshness
 from revisit.service.application.query.search_answers import SearchCriteria
 from revisit.service.rest.bodies import cloud_body, parse_numbers
-from revisit.service.rest.schemas import IN_DIGITS, STOREY_LENGTH, bounds
+from revisit.service.rest.schemas import IN_DIGITS, STOREY, bounds
 
 POSE_HELP = "x,y,z,qx,qy,qz,qw: translation in metres and unit quaternion."
+
+POINT_HELP = "x,y,z in metres"
 
 LEVEL_HELP = (
     "x,y,z,qx,qy,qz,qw: the pose of a cloud in a frame whose z points up, of which the rotation counts. Without it, "
@@ -45,20 +46,12 @@ async def _tenant() -> TenantId:
     return current_tenant()
 
 
-async def _page(
-    page_size: Annotated[int, Query(**bounds(limits.PAGE_SIZE)), IN_DIGITS] = PageRequest().size,
-    page_token: Annotated[str, Query(max_length=limits.PAGE_TOKEN_CHARACTERS)] = "",
-) -> PageRequest:
-    return PageRequest(page_size, page_token)
-
-
 PATH_ID_CHARACTERS = 200
 """Characters of an id in a path, which may be no id."""
 
 Id: TypeAlias = Annotated[str, Path(max_length=PATH_ID_CHARACTERS)]
 Cases: TypeAlias = Annotated[UseCases, Depends(_use_cases)]
 Tenant: TypeAlias = Annotated[TenantId, Depends(_tenant)]
-Paging: TypeAlias = Annotated[PageRequest, Depends(_page)]
 
 
 async def _admitted_cloud(request: Request, cases: Cases, tenant: Tenant) -> EncodedCloud:
@@ -114,7 +107,7 @@ PoseOfSensor: TypeAlias = Annotated[Matrix4, Depends(_pose_of_sensor)]
 
 
 async def prior_position(
-    prior_position_m: Annotated[str | None, Query(description="x,y,z in metres", max_length=200)] = None,
+    prior_position_m: Annotated[str | None, Query(description=POINT_HELP, max_length=200)] = None,
 ) -> tuple[float, float, float] | None:
     """The prior of a search by cloud. Raises BadField."""
     if prior_position_m is None:
@@ -138,7 +131,7 @@ LevelPose: TypeAlias = Annotated[Matrix4 | None, Depends(level_pose)]
 SessionId: TypeAlias = Annotated[str | None, Query(max_length=limits.ID_CHARACTERS)]
 
 
-StoreyName: TypeAlias = Annotated[str | None, Query(description=STOREY_HELP, **STOREY_LENGTH)]
+StoreyName: TypeAlias = Annotated[str | None, Query(description=STOREY_HELP, **STOREY)]
 
 
 async def criteria_of_query(

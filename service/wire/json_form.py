@@ -10,12 +10,12 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cache, partial
-from typing import Any, cast
+from typing import Any
 
 from google.protobuf.descriptor import Descriptor, FieldDescriptor
 from google.protobuf.message import Message
 
-from revisit.service.wire.answers import Fields
+from revisit.service.wire.fields import Fields, descriptor_of
 
 STRUCT = "google.protobuf.Struct"
 
@@ -36,11 +36,6 @@ def json_form(message: type[Message], fields: Mapping[str, Any]) -> Fields:
     false, "", [] or the unspecified value. Raises KeyError for a field that the message does not have.
     """
     return _json_form(descriptor_of(message), fields)
-
-
-def descriptor_of(message: type[Message]) -> Descriptor:
-    """The message's type; its stubs name two classes of descriptors."""
-    return cast(Descriptor, message.DESCRIPTOR)
 
 
 def _json_form(descriptor: Descriptor, fields: Mapping[str, Any]) -> Fields:

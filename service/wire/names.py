@@ -5,6 +5,7 @@ from __future__ import annotations
 from revisit.core.errors import BadField
 from revisit.service.application import SessionKey, SubmapKey
 from revisit.service.application.contract import limits
+from revisit.service.application.contract.map_tiles import TileKey
 
 
 def segments(name: str, pattern: str, field: str) -> list[str]:
@@ -52,6 +53,18 @@ def merge_key(name: str, field: str = "name") -> tuple[str, str]:
     """Map id and merge id of `maps/{map}/merges/{merge}`."""
     of_map, merge_id = segments(name, "maps/*/merges/*", field)
     return of_map, merge_id
+
+
+def tile_key(name: str, field: str = "name") -> TileKey:
+    """Of `maps/{map}/versions/{version}/tiles/{tile}`."""
+    of_map, version, tile = segments(name, "maps/*/versions/*/tiles/*", field)
+    return TileKey.of(of_map, version_number(version, field), tile)
+
+
+def file_key(name: str, field: str = "name") -> tuple[str, int]:
+    """Map id and version of `maps/{map}/files/{version}`."""
+    of_map, version = segments(name, "maps/*/files/*", field)
+    return of_map, version_number(version, field)
 
 
 def merge_source(name: str, field: str = "source") -> tuple[str, str | None]:

@@ -8,7 +8,8 @@ from typing import Any
 from google.protobuf.descriptor import Descriptor, EnumDescriptor, FieldDescriptor
 from google.protobuf.message import Message
 
-from revisit.service.wire.json_form import STRUCT, descriptor_of
+from revisit.service.wire.fields import descriptor_of
+from revisit.service.wire.json_form import STRUCT
 from revisit.v1.comments import COMMENTS
 
 Schema = dict[str, Any]

@@ -1,19 +1,17 @@
-"""Making long answers: beside the event loop, which otherwise would serve nobody meanwhile."""
+"""Making answers: long ones beside the event loop, which otherwise would serve nobody meanwhile."""
 
 from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any, TypeVar
-
-from google.protobuf.message import Message
+from dataclasses import dataclass
+from typing import Any, TypeAlias, TypeVar
 
 from revisit.service.application.catalogue.paging import Page
-from revisit.service.wire.answers import Fields, of_page
+from revisit.service.wire.fields import Fields
 
 T = TypeVar("T")
-M = TypeVar("M", bound=Message)
 
 FEW = 50
 """So many items take about a millisecond."""
@@ -22,13 +20,26 @@ FEW = 50
 _BESIDE = ThreadPoolExecutor(1, "render")
 
 
-async def rendered(page: Page[Any], make: Callable[[], T]) -> T:
-    """What `make` makes of a page."""
-    if len(page.items) <= FEW:
-        return make()
-    return await asyncio.get_running_loop().run_in_executor(_BESIDE, make)
+@dataclass(frozen=True)
+class Listed:
+    """The answer of a List call: a page, the field that holds it, and the fields of one item."""
+
+    collection: str
+    page: Page[Any]
+    of: Callable[[Any], Fields]
+
+    def fields(self) -> Fields:
+        """The fields of the List...Response."""
+        return {self.collection: [self.of(item) for item in self.page.items], "next_page_token": self.page.next_token}
 
 
-async def page_message(message: type[M], collection: str, page: Page[T], of: Callable[[T], Fields]) -> M:
-    """The List...Response that holds `collection`."""
-    return await rendered(page, lambda: message(**of_page(collection, page, of)))
+Answer: TypeAlias = Fields | Listed
+
+
+async def rendered(answer: Answer, make: Callable[[Fields], T]) -> T:
+    """The form that `make` makes of an answer."""
+    if not isinstance(answer, Listed):
+        return make(answer)
+    if len(answer.page.items) <= FEW:
+        return make(answer.fields())
+    return await asyncio.get_running_loop().run_in_executor(_BESIDE, lambda: make(answer.fields()))

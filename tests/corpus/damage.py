@@ -6,14 +6,15 @@ import random
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
+from revisit.api.calls import CALLS
 from revisit.formats import decode_content
 from revisit.service.application.contract.limits import SUBMAP_POINTS
 from revisit.service.application.ingest.clouds import EncodedCloud, accept_cloud
+from revisit.service.calls.ingest import submap_to_post
 from revisit.service.grpc.errors import _parse
 from revisit.service.rest.bodies import parse_json
 from revisit.service.rest.limits import HttpLimits
-from revisit.service.rest.schemas import CreateMapRequest
-from revisit.service.wire import requests
+from revisit.service.rest.request_form import form_of
 from revisit.v1 import submap_pb2
 from tests.corpus.rows import CloudToSend, cases
 from tests.corpus.sending import cloud_message, transform
@@ -79,9 +80,9 @@ def _message(body: str) -> bytes:
 
 
 def _read_message(data: bytes) -> object:
-    command = requests.post_submap(_parse(submap_pb2.PostSubmapRequest.FromString, data))
+    command = submap_to_post(_parse(submap_pb2.PostSubmapRequest.FromString, data))
     return accept_cloud(command.cloud, max_points=SUBMAP_POINTS)
 
 
 def _read_json(data: bytes) -> object:
-    return parse_json(data, CreateMapRequest, HttpLimits())
+    return parse_json(data, form_of(CALLS["CreateMap"]).model, HttpLimits())

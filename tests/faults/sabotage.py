@@ -292,7 +292,7 @@ SABOTAGES = (
     ),
     Sabotage(
         "two streams of a session go on side by side",
-        {f"{SERVICE}grpc.servicers.ingest:_ScanStream.fence": nothing},
+        {f"{SERVICE}grpc.scan_streams:_ScanStream.fence": nothing},
         "tests/contract/api/test_api_streams.py::test_a_newer_stream_of_the_session_fences_the_older",
     ),
     Sabotage(

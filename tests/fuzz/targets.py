@@ -11,9 +11,14 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
+<<<<<<< HEAD
 from revisit.core.codec import neural_map as codec
 from revisit.core.codec import place as place_form
 from revisit.core.codec.mesh import unpack_mesh
+=======
+from revisit.api.calls import CALLS
+from revisit.core import place_first_form, place_form, place_second_form, place_third_form
+>>>>>>> c9234497 (Every call is one row of one table: gRPC handlers, HTTP routes and OpenAPI are made from it)
 from revisit.core.errors import DataLoss, RevisitError
 from revisit.core.place import Place
 from revisit.core.scan import validate_cloud
@@ -23,7 +28,8 @@ from revisit.service.application.contract.identity import DEFAULT_TENANT
 from revisit.service.application.ingest.clouds import unpack_cloud
 from revisit.service.rest.bodies import parse_json
 from revisit.service.rest.limits import HttpLimits
-from revisit.service.rest.schemas import CreateMapRequest, SearchRequest
+from revisit.service.rest.request_form import form_of
+from revisit.service.rest.schemas import SearchRequest
 
 LIMITS = CloudLimits(max_decoded_bytes=2**20, max_points=20_000)
 DIGEST_BYTES = 16
@@ -93,7 +99,7 @@ TARGETS: dict[str, Target] = {
     "gzip": content("gzip"),
     "zstd": content("zstd"),
     "packed cloud header": refusing(PackedCloud.from_bytes, RevisitError),
-    "json map": refusing(lambda data: parse_json(data, CreateMapRequest, HttpLimits()), RevisitError),
+    "json map": refusing(lambda data: parse_json(data, form_of(CALLS["CreateMap"]).model, HttpLimits()), RevisitError),
     "json search": refusing(lambda data: parse_json(data, SearchRequest, HttpLimits()), RevisitError),
     "page token": refusing(lambda data: TOKENS.number_in(DEFAULT_TENANT, data.decode("latin-1")), RevisitError),
     "neural map": refusing(codec.unpack, DataLoss),

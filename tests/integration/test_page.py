@@ -14,8 +14,8 @@ import numpy as np
 import pytest
 
 from revisit import Client
+from revisit.api.scopes import Scope
 from revisit.formats.glb import encode_scene
-from revisit.service.application.access.callers import Scope
 from tests.support.browser import Page, browser
 from tests.support.credentials import a_key
 from tests.support.fleet_in_service import fleet_in

@@ -12,8 +12,8 @@ import grpc
 import httpx
 import pytest
 
+from revisit.api.calls import CALLS
 from revisit.service.application.access.api_keys import CreateKey, parse_key
-from revisit.service.grpc import server as grpc_server
 from revisit.service.rest.app import create_app
 from tests.support.campaigns import Campaign, sizes
 from tests.support.credentials import ALL_SCOPES, ended
@@ -105,12 +105,7 @@ def test_no_planted_secret_is_found_in_answers_logs_metrics_traces_or_files(keys
     keys, service = keys_and_service
     paths = create_app(memory_world().use_cases).openapi()["paths"]
     calls = [(method, path) for path, methods in paths.items() for method in methods]
-    methods = [
-        method
-        for module, *_ in grpc_server._SERVICES
-        for described in module.DESCRIPTOR.services_by_name.values()
-        for method in described.methods
-    ]
+    methods = [call.method for call in CALLS.values()]
     planted = [*keys, *wrong_credentials(count - len(keys))]
     answers, campaign = [], Campaign("P21", count)
     with (

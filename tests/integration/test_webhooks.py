@@ -24,7 +24,7 @@ from revisit.service.application.contract.states import EventKind
 from revisit.service.application.push import deliveries
 from revisit.service.application.push.deliveries import MOST_FAILURES, Deliveries, pause_s
 from revisit.service.application.push.webhooks import CreateWebhook
-from revisit.service.wire.webhook_body import webhook_body
+from revisit.service.calls.push import webhook_body
 from tests.support.patience import PATIENCE_S, eventually
 from tests.support.service_world import SESSION, TENANT, memory_world, open_session, sqlite_world, submap
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 
 import structlog
 
+from revisit.api.scopes import Scope
 from revisit.core.errors import RevisitError
 from revisit.service.application.access import audit
 from revisit.service.application.access.api_keys import caller_of_key, parse_key
@@ -15,7 +16,6 @@ from revisit.service.application.access.audit import AuditEntry, AuditLog
 from revisit.service.application.access.callers import (
     ANYONE,
     Caller,
-    Scope,
     current_actor,
     current_tenant,
     current_tenant_or_none,

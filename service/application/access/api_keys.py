@@ -10,10 +10,11 @@ import string
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+from revisit.api.scopes import Scope
 from revisit.core.errors import BadField
 from revisit.service.application.access import audit
 from revisit.service.application.access.audit import AuditEntry
-from revisit.service.application.access.callers import Caller, Scope, current_actor
+from revisit.service.application.access.callers import Caller, current_actor
 from revisit.service.application.contract import limits
 from revisit.service.application.contract.access_ports import KeyRecord
 from revisit.service.application.contract.clock import Clock

@@ -4,20 +4,12 @@ from __future__ import annotations
 
 from contextvars import ContextVar
 from dataclasses import dataclass
-from enum import StrEnum
 
 import structlog
 
+from revisit.api.scopes import Scope
 from revisit.service.application.contract.errors import PermissionDenied, Unauthenticated
 from revisit.service.application.contract.identity import DEFAULT_TENANT, TenantId
-
-
-class Scope(StrEnum):
-    """What a credential is for. None includes another."""
-
-    INGEST = "ingest"
-    QUERY = "query"
-    ADMIN = "admin"
 
 
 @dataclass(frozen=True)

@@ -11,16 +11,18 @@ from fastapi.routing import APIRoute
 from fastapi.security import SecurityScopes
 from starlette.requests import Request
 
+from revisit.api.calls import CALLS
 from revisit.core.errors import BadField
 from revisit.service.application import UseCases
-from revisit.service.application.access.callers import Scope, current_tenant
+from revisit.service.application.access.callers import current_tenant
 from revisit.service.application.contract import limits
 from revisit.service.application.contract.identity import TenantId
 from revisit.service.application.query.freshness import Freshness
 from revisit.service.application.query.search_answers import SearchCriteria, SearchResult
 from revisit.service.application.query.searches import LocalizeQuery
-from revisit.service.rest.access import admitted, allows, scopes_of
-from revisit.service.rest.answers import LocalizeAnswer, SearchAnswer, answer, answers
+from revisit.service.calls.search import localization_fields, search_fields
+from revisit.service.rest.access import admitted, scopes_of, served
+from revisit.service.rest.answers import answer, answers
 from revisit.service.rest.bodies import (
     CLOUD_BODY,
     CLOUD_CONTENT,
@@ -44,7 +46,8 @@ from revisit.service.rest.parameters import (
 )
 from revisit.service.rest.schemas import IN_DIGITS, SearchRequest, bounds
 from revisit.service.wire import names
-from revisit.service.wire.answers import of_localization, of_search
+from revisit.v1.loop_closure_pb2 import LocalizeResponse as LocalizeAnswer
+from revisit.v1.loop_closure_pb2 import SearchSubmapsResponse as SearchAnswer
 
 
 class _SearchRoute(APIRoute):
@@ -72,7 +75,7 @@ class _SearchRoute(APIRoute):
         return answer_search
 
 
-router = APIRouter(prefix="/v1/maps", tags=["searches"], route_class=_SearchRoute)
+router = APIRouter(route_class=_SearchRoute)
 
 _SEARCH_BODY = {
     "requestBody": {
@@ -86,12 +89,7 @@ _SEARCH_BODY = {
 }
 
 
-@router.post(
-    "/{map_id}/submaps:search",
-    **answers(SearchAnswer),
-    openapi_extra=_SEARCH_BODY,
-    dependencies=[allows(Scope.QUERY)],
-)
+@router.api_route(**served(CALLS["SearchSubmaps"]), **answers(SearchAnswer), openapi_extra=_SEARCH_BODY)
 async def search_submaps(
     map_id: Id,
     request: Request,
@@ -106,12 +104,10 @@ async def search_submaps(
         return await _answer_by_json(request, cases, tenant, map_id)
     cloud = await cloud_body(request)
     found = await cases.searches.by_cloud(tenant, map_id, cloud, criteria, fresh, T_level_query=level)
-    return answer(SearchAnswer, of_search(found))
+    return answer(SearchAnswer, search_fields(found))
 
 
-@router.post(
-    "/{map_id}:localize", **answers(LocalizeAnswer), openapi_extra=CLOUD_BODY, dependencies=[allows(Scope.QUERY)]
-)
+@router.api_route(**served(CALLS["Localize"]), **answers(LocalizeAnswer), openapi_extra=CLOUD_BODY)
 async def localize(
     map_id: Id,
     cloud: Cloud,
@@ -128,12 +124,12 @@ async def localize(
 ) -> Response:
     """Where in the map was this cloud taken? No match is an answer, not an error."""
     query = LocalizeQuery(map_id, cloud, prior, radius_m, candidates, exclude_session, only_session, level, storey)
-    return answer(LocalizeAnswer, of_localization(await cases.searches.localize(tenant, query, fresh)))
+    return answer(LocalizeAnswer, localization_fields(await cases.searches.localize(tenant, query, fresh)))
 
 
 async def _answer_by_json(request: Request, cases: UseCases, tenant: TenantId, map_id: str) -> Response:
     body = await read_json(request, SearchRequest)
-    return answer(SearchAnswer, of_search(await _search_by_json(cases, tenant, map_id, body)))
+    return answer(SearchAnswer, search_fields(await _search_by_json(cases, tenant, map_id, body)))
 
 
 async def _search_by_json(cases: UseCases, tenant: TenantId, map_id: str, body: SearchRequest) -> SearchResult:

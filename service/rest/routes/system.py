@@ -1,15 +1,13 @@
-"""Health, version and status."""
+"""Health and version."""
 
 from __future__ import annotations
 
 from fastapi import APIRouter, Response
 from fastapi.responses import JSONResponse
 
-from revisit.service.application.access.callers import Scope
+from revisit.api.calls import CALLS
 from revisit.service.rest.access import PUBLIC, allows
-from revisit.service.rest.answers import Status, answer, answers
 from revisit.service.rest.parameters import Cases, Tenant
-from revisit.service.wire.answers import of_status
 
 router = APIRouter(tags=["system"])
 
@@ -28,14 +26,8 @@ async def readyz(cases: Cases) -> Response:
     return JSONResponse(body, status_code=200 if readiness.ready else 503)
 
 
-@router.get("/version", dependencies=[allows(Scope.INGEST, Scope.QUERY)])
+@router.get("/version", dependencies=[allows(CALLS["GetStatus"])])
 async def version(cases: Cases, tenant: Tenant) -> dict[str, str | None]:
     """Version of the service and of the models in use."""
     status = await cases.system.status(tenant)
     return {"version": status.version, "model_version": status.model_version}
-
-
-@router.get("/v1/status", **answers(Status), dependencies=[allows(Scope.INGEST, Scope.QUERY)])
-async def get_status(cases: Cases, tenant: Tenant) -> Response:
-    """Queue depth, index size, workers and versions."""
-    return answer(Status, of_status(await cases.system.status(tenant)))

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 
 import grpc
 import pytest
 from fastapi import FastAPI
 
-from revisit.service.application.access.callers import Scope
-from revisit.service.grpc import access as grpc_access
+from revisit.api.calls import CALLS
+from revisit.api.scopes import Scope
+from revisit.service.calls import catalogue
 from revisit.service.grpc import server as grpc_server
 from revisit.service.rest.access import allows, every_route, require_declared_scopes, scopes_of
 from revisit.service.rest.app import create_app
@@ -34,10 +36,9 @@ def rest_calls():
 
 def rpcs():
     """Every RPC of the proto descriptors."""
-    for module, *_ in grpc_server._SERVICES:
-        for service in module.DESCRIPTOR.services_by_name.values():
-            for method in service.methods:
-                yield pytest.param(service.full_name, method, id=f"{service.name}.{method.name}")
+    for call in CALLS.values():
+        service = call.method.containing_service
+        yield pytest.param(service.full_name, call.method, id=f"{service.name}.{call.name}")
 
 
 @pytest.mark.parametrize(("method", "path", "scopes"), list(rest_calls()))
@@ -77,29 +78,26 @@ def test_a_key_with_every_scope_but_the_needed_ones_is_refused(guarded, guarded_
 
 @pytest.mark.parametrize(("service", "method"), list(rpcs()))
 def test_a_key_with_every_scope_but_the_needed_ones_is_refused_over_grpc(guarded, guarded_grpc, service, method):
-    needed = grpc_access.SCOPES[service.rpartition(".")[2]][method.name]
+    needed = CALLS[method.name].row.scopes
     key = a_key(guarded.world, scopes=[scope.value for scope in Scope if scope not in needed])
     code, details = ended(guarded_grpc, method, bearer(key).items())
     assert code is grpc.StatusCode.PERMISSION_DENIED
     assert all(scope in details for scope in needed)
 
 
-def test_both_transports_ask_for_the_same_scopes():
+def test_both_transports_ask_for_the_scopes_of_the_list_of_calls():
     routes = {route.name: set(scopes_of(route)) for route in every_route(create_app(memory_world().use_cases))
               if hasattr(route, "dependencies")}  # fmt: skip
-    compared = 0
-    for methods in grpc_access.SCOPES.values():
-        for name, scopes in methods.items():
-            snake = re.sub(r"(?<!^)(?=[A-Z])", "_", name).lower()
-            if snake in routes:
-                assert routes[snake] == scopes, name
-                compared += 1
-    assert compared >= 20
+    of_calls = {call.use: call.row.scopes for call in CALLS.values() if call.row.http}
+    assert of_calls.items() <= routes.items()
+    assert routes.keys() - of_calls.keys() >= {"append_scan", "version"}
+    assert routes["append_scan"] == CALLS["StreamScans"].row.scopes
+    assert routes["version"] == CALLS["GetStatus"].row.scopes
 
 
 def test_a_route_that_declares_no_scope_stops_the_start():
     app = FastAPI(docs_url=None, redoc_url=None, openapi_url=None)
-    app.get("/declared", dependencies=[allows(Scope.QUERY)])(lambda: None)
+    app.get("/declared", dependencies=[allows(CALLS["GetMap"])])(lambda: None)
     require_declared_scopes(app)
     app.get("/forgotten")(lambda: None)
     with pytest.raises(RuntimeError, match="/forgotten does not declare"):
@@ -108,13 +106,29 @@ def test_a_route_that_declares_no_scope_stops_the_start():
 
 def test_a_route_that_allows_no_scope_stops_the_start():
     app = FastAPI(docs_url=None, redoc_url=None, openapi_url=None)
-    app.get("/empty", dependencies=[allows()])(lambda: None)
+    app.get("/empty", dependencies=[allows(without_scopes("GetMap"))])(lambda: None)
     with pytest.raises(RuntimeError, match="/empty does not declare"):
         require_declared_scopes(app)
 
 
-async def test_an_rpc_that_declares_no_scope_stops_the_start(monkeypatch):
-    scopes = {**grpc_access.SCOPES, "MapService": {"CreateMap": frozenset({Scope.INGEST})}}
-    monkeypatch.setattr(grpc_access, "SCOPES", scopes)
+async def test_an_rpc_without_a_row_stops_the_start(monkeypatch):
+    monkeypatch.delitem(CALLS, "GetMap")
     with pytest.raises(RuntimeError, match="MapService/GetMap does not declare"):
         grpc_server.create_server(memory_world().use_cases)
+
+
+async def test_a_row_that_allows_no_scope_stops_the_start(monkeypatch):
+    monkeypatch.setitem(CALLS, "GetMap", without_scopes("GetMap"))
+    with pytest.raises(RuntimeError, match="MapService/GetMap does not declare"):
+        grpc_server.create_server(memory_world().use_cases)
+
+
+async def test_a_row_that_no_function_answers_stops_the_start(monkeypatch):
+    monkeypatch.delattr(catalogue, "get_map")
+    with pytest.raises(RuntimeError, match="no function get_map answers"):
+        grpc_server.create_server(memory_world().use_cases)
+
+
+def without_scopes(name):
+    call = CALLS[name]
+    return replace(call, row=replace(call.row, scopes=frozenset()))

@@ -11,9 +11,9 @@ import pytest
 from google.protobuf.message_factory import GetMessageClass
 
 from revisit import Client
+from revisit.api.calls import CALLS
 from revisit.formats import QUANTISED, encode_quantised
 from revisit.sdk.retry import RetryPolicy
-from revisit.service.grpc import server as grpc_server
 from revisit.service.rest.app import create_app
 from tests.support.credentials import a_key, bearer
 from tests.support.fake_merger import EasyMerger
@@ -39,11 +39,9 @@ def rest_calls():
 
 def rpcs():
     """Every RPC whose request names a resource."""
-    for module, *_ in grpc_server._SERVICES:
-        for service in module.DESCRIPTOR.services_by_name.values():
-            for method in service.methods:
-                if {"name", "parent", "open"} & set(method.input_type.fields_by_name):
-                    yield method
+    for call in CALLS.values():
+        if {"name", "parent", "open"} & set(call.method.input_type.fields_by_name):
+            yield call.method
 
 
 @pytest.fixture(scope="module")

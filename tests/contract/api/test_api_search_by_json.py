@@ -5,7 +5,7 @@ from __future__ import annotations
 import httpx
 import pytest
 
-from revisit.service.application.access.callers import Scope
+from revisit.api.scopes import Scope
 from tests.support.credentials import a_key, bearer
 from tests.support.service_world import cloud_points, pose
 

@@ -9,8 +9,8 @@ import httpx
 import pytest
 
 from revisit import Client
+from revisit.api.scopes import Scope
 from revisit.sdk.errors import NotFound
-from revisit.service.application.access.callers import Scope
 from revisit.v1 import ingest_pb2, ingest_pb2_grpc
 from tests.support.credentials import a_key, bearer
 from tests.support.patience import PATIENCE_S

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import asyncio
 
-from revisit.service.grpc.servicers import ingest
+from revisit.service.grpc import scan_streams
 from revisit.v1 import ingest_pb2
 from tests.support.patience import PATIENCE_S
 from tests.support.service_world import SESSION, TENANT, memory_world, open_session
 
 
 async def test_a_stream_whose_answers_nobody_reads_is_given_up(monkeypatch):
-    monkeypatch.setattr(ingest, "UNREAD_LIMIT_S", 0.05)
+    monkeypatch.setattr(scan_streams, "UNREAD_LIMIT_S", 0.05)
     world = memory_world()
     await open_session(world)
 
@@ -21,7 +21,7 @@ async def test_a_stream_whose_answers_nobody_reads_is_given_up(monkeypatch):
             await asyncio.sleep(0)
 
     async def handler():
-        stream = ingest._ScanStream(world.use_cases, TENANT, SESSION, asyncio.Event())
+        stream = scan_streams._ScanStream(world.use_cases, TENANT, SESSION, asyncio.Event())
         async for _ in stream.run(scans(), ingest_pb2.Open()):
             await asyncio.Event().wait()  # the write that flow control holds back for ever
 

@@ -36,9 +36,20 @@ from revisit.service.application.mapping.corrections import CorrectionView
 from revisit.service.application.mapping.versions import MapVersionView, SubmapPoseView
 from revisit.service.application.query.loops import LoopClosureView
 from revisit.service.application.query.search_answers import Localization, LocalizedCandidate, SearchHit, SearchResult
-from revisit.service.rest import answers as kinds
-from revisit.service.wire import answers, openapi
+from revisit.service.calls import catalogue, ingest, loops, mapping, operations, search
+from revisit.service.wire import openapi
 from revisit.service.wire.json_form import json_form
+from revisit.service.wire.rendering import Listed
+from revisit.v1 import (
+    ingest_pb2,
+    loop_closure_pb2,
+    map_pb2,
+    mapping_pb2,
+    operation_pb2,
+    robot_pb2,
+    session_pb2,
+    submap_pb2,
+)
 
 SUBMAP_KEY, LARGE = SubmapKey("town", "monday", "a"), 2**62 + 1
 EVIDENCE = {
@@ -76,65 +87,81 @@ SUMMARY = {
 }  # fmt: skip
 COVARIANCE = (np.arange(36, dtype=np.float32) / 4).reshape(6, 6)
 
+
+def of_page(collection, page, of):
+    return Listed(collection, page, of).fields()
+
+
 ANSWERS = {
-    "a map": (kinds.Map, answers.of_map(MAP)),
-    "a robot": (kinds.Robot, answers.of_robot(RobotView("rover", "", LARGE))),
-    "a finished session": (kinds.Session, answers.of_session(SESSION)),
+    "a map": (map_pb2.Map, catalogue.map_fields(MAP)),
+    "a robot": (robot_pb2.Robot, catalogue.robot_fields(RobotView("rover", "", LARGE))),
+    "a finished session": (session_pb2.Session, catalogue.session_fields(SESSION)),
     "a new session": (
-        kinds.Session,
-        answers.of_session(SessionView(SessionKey("town", "new"), None, SessionState.ACTIVE, 0, 0.0, 0, 1, None, None)),
-    ),
-    "an operation that waits": (kinds.Operation, answers.of_operation(QUEUED)),
-    "an operation that failed": (kinds.Operation, answers.of_operation(FAILED)),
-    "an operation that is done": (kinds.Operation, answers.of_operation(DONE)),
-    "a described submap of scans": (kinds.Submap, answers.of_submap(SCANNED)),
-    "a submap that failed": (kinds.Submap, answers.of_submap(UNDESCRIBED)),
-    "a post": (kinds.Posted, answers.of_posted(POSTED)),
-    "a scan that completed a submap": (kinds.Ack, answers.of_ack(ScanAck(LARGE, False, CloudReport(0, False), POSTED))),
-    "a scan again": (kinds.Ack, answers.of_ack(ScanAck(3, True, None, None))),
-    "hits": (
-        kinds.SearchAnswer,
-        answers.of_search(SearchResult((SearchHit(SUBMAP_KEY, 0.75, (1.0, 2.0, 3.0)),), 9)),
-    ),
-    "a hit in the map": (
-        kinds.SearchAnswer,
-        answers.of_search(SearchResult((SearchHit(SUBMAP_KEY, 0.75, (1.0, 2.0, 3.0), IN_MAP),), 9)),
-    ),
-    "a submap in the map": (kinds.Submap, answers.of_submap(replace(SCANNED, in_map=IN_MAP))),
-    "a place in the map": (
-        kinds.LocalizeAnswer,
-        answers.of_localization(Localization(ACCEPTED, POSE, (ACCEPTED,), IN_MAP)),
-    ),
-    "a loop": (kinds.LoopClosure, answers.of_loop(LOOP)),
-    "a loop in the map": (kinds.LoopClosure, answers.of_loop(PLACED_LOOP)),
-    "a version of a map": (
-        kinds.MapVersion,
-        answers.of_map_version(MapVersionView("town", 4, True, None, "hash", "op-1", SUMMARY, LARGE, 1)),
-    ),
-    "a version that came back": (
-        kinds.MapVersion,
-        answers.of_map_version(MapVersionView("town", 5, False, 3, "hash", None, SUMMARY, LARGE, 1)),
-    ),
-    "a correction": (
-        kinds.Correction,
-        answers.of_correction(CorrectionView(SUBMAP_KEY.session, POSE, "frame-1", 4, COVARIANCE, LARGE)),
-    ),
-    "poses": (
-        kinds.SubmapPosePage,
-        answers.of_page(
-            "submap_poses",
-            Page((SubmapPoseView(SUBMAP_KEY, POSE, "frame-1", COVARIANCE, 1),), ""),
-            answers.of_submap_pose,
+        session_pb2.Session,
+        catalogue.session_fields(
+            SessionView(SessionKey("town", "new"), None, SessionState.ACTIVE, 0, 0.0, 0, 1, None, None)
         ),
     ),
-    "no hits": (kinds.SearchAnswer, answers.of_search(SearchResult((), 0))),
-    "a known place": (
-        kinds.LocalizeAnswer,
-        answers.of_localization(Localization(ACCEPTED, POSE, (REJECTED, ACCEPTED))),
+    "an operation that waits": (operation_pb2.Operation, operations.operation_fields(QUEUED)),
+    "an operation that failed": (operation_pb2.Operation, operations.operation_fields(FAILED)),
+    "an operation that is done": (operation_pb2.Operation, operations.operation_fields(DONE)),
+    "a described submap of scans": (submap_pb2.Submap, catalogue.submap_fields(SCANNED)),
+    "a submap that failed": (submap_pb2.Submap, catalogue.submap_fields(UNDESCRIBED)),
+    "a post": (submap_pb2.PostSubmapResponse, ingest.posted_fields(POSTED)),
+    "a scan that completed a submap": (
+        ingest_pb2.AppendScanResponse,
+        ingest.ack_fields(ScanAck(LARGE, False, CloudReport(0, False), POSTED)),
     ),
-    "an unknown place": (kinds.LocalizeAnswer, answers.of_localization(Localization(None, None, (REJECTED,)))),
-    "a page": (kinds.LoopClosurePage, answers.of_page("loop_closures", Page((LOOP, LOOP), "next"), answers.of_loop)),
-    "an empty page": (kinds.MapPage, answers.of_page("maps", Page((), ""), answers.of_map)),
+    "a scan again": (ingest_pb2.AppendScanResponse, ingest.ack_fields(ScanAck(3, True, None, None))),
+    "hits": (
+        loop_closure_pb2.SearchSubmapsResponse,
+        search.search_fields(SearchResult((SearchHit(SUBMAP_KEY, 0.75, (1.0, 2.0, 3.0)),), 9)),
+    ),
+    "a hit in the map": (
+        loop_closure_pb2.SearchSubmapsResponse,
+        search.search_fields(SearchResult((SearchHit(SUBMAP_KEY, 0.75, (1.0, 2.0, 3.0), IN_MAP),), 9)),
+    ),
+    "a submap in the map": (submap_pb2.Submap, catalogue.submap_fields(replace(SCANNED, in_map=IN_MAP))),
+    "a place in the map": (
+        loop_closure_pb2.LocalizeResponse,
+        search.localization_fields(Localization(ACCEPTED, POSE, (ACCEPTED,), IN_MAP)),
+    ),
+    "a loop": (loop_closure_pb2.LoopClosure, loops.loop_fields(LOOP)),
+    "a loop in the map": (loop_closure_pb2.LoopClosure, loops.loop_fields(PLACED_LOOP)),
+    "a version of a map": (
+        mapping_pb2.MapVersion,
+        mapping.version_fields(MapVersionView("town", 4, True, None, "hash", "op-1", SUMMARY, LARGE, 1)),
+    ),
+    "a version that came back": (
+        mapping_pb2.MapVersion,
+        mapping.version_fields(MapVersionView("town", 5, False, 3, "hash", None, SUMMARY, LARGE, 1)),
+    ),
+    "a correction": (
+        mapping_pb2.Correction,
+        mapping.correction_fields(CorrectionView(SUBMAP_KEY.session, POSE, "frame-1", 4, COVARIANCE, LARGE)),
+    ),
+    "poses": (
+        mapping_pb2.ListSubmapPosesResponse,
+        of_page(
+            "submap_poses",
+            Page((SubmapPoseView(SUBMAP_KEY, POSE, "frame-1", COVARIANCE, 1),), ""),
+            mapping.submap_pose_fields,
+        ),
+    ),
+    "no hits": (loop_closure_pb2.SearchSubmapsResponse, search.search_fields(SearchResult((), 0))),
+    "a known place": (
+        loop_closure_pb2.LocalizeResponse,
+        search.localization_fields(Localization(ACCEPTED, POSE, (REJECTED, ACCEPTED))),
+    ),
+    "an unknown place": (
+        loop_closure_pb2.LocalizeResponse,
+        search.localization_fields(Localization(None, None, (REJECTED,))),
+    ),
+    "a page": (
+        loop_closure_pb2.ListLoopClosuresResponse,
+        of_page("loop_closures", Page((LOOP, LOOP), "next"), loops.loop_fields),
+    ),
+    "an empty page": (map_pb2.ListMapsResponse, of_page("maps", Page((), ""), catalogue.map_fields)),
 }
 
 
@@ -168,7 +195,7 @@ def test_an_answer_names_every_field_of_its_message(case):
 
 
 def test_64_bit_integers_are_text_and_absent_fields_are_left_out():
-    rendered = json_form(kinds.Session, {"name": "s", "committed_seq": 2**63 - 1, "submap_count": 2**31})
+    rendered = json_form(session_pb2.Session, {"name": "s", "committed_seq": 2**63 - 1, "submap_count": 2**31})
     assert (rendered["committed_seq"], rendered["submap_count"]) == ("9223372036854775807", 2**31)
     assert (rendered["created_at_ns"], rendered["robot"], rendered["state"]) == ("0", "", "STATE_UNSPECIFIED")
     assert not {"finished_at_ns", "committed_stamp_ns"} & rendered.keys()
@@ -176,17 +203,17 @@ def test_64_bit_integers_are_text_and_absent_fields_are_left_out():
 
 @pytest.mark.parametrize(("number", "text"), [(math.nan, "NaN"), (math.inf, "Infinity"), (-math.inf, "-Infinity")])
 def test_numbers_that_json_lacks_are_text(number, text):
-    rendered = json_form(kinds.LoopClosure, {"score": number})
-    assert rendered["score"] == MessageToDict(kinds.LoopClosure(score=number))["score"] == text
+    rendered = json_form(loop_closure_pb2.LoopClosure, {"score": number})
+    assert rendered["score"] == MessageToDict(loop_closure_pb2.LoopClosure(score=number))["score"] == text
 
 
 def test_a_field_that_the_message_does_not_have_is_a_defect():
     with pytest.raises(KeyError, match=r"revisit\.v1\.Robot has no field colour"):
-        json_form(kinds.Robot, {"colour": "red"})
+        json_form(robot_pb2.Robot, {"colour": "red"})
 
 
 def test_openapi_requires_what_is_always_there_and_describes_it_with_the_comments_of_the_proto():
-    described = openapi.schemas([kinds.Posted])
+    described = openapi.schemas([submap_pb2.PostSubmapResponse])
     assert described.keys() == {
         "CloudReport", "Failure", "Operation", "OperationProgress", "PostSubmapResponse", "Quaternion", "Submap",
         "Transform", "Vector3",

@@ -9,14 +9,14 @@ from typing import Any
 
 from revisit.core.errors import ErrorCode, RevisitError
 from revisit.service.application import SessionKey, TenantId, UseCases
+from revisit.service.application.access.callers import current_tenant
 from revisit.service.application.contract.errors import Draining, NotFound
 from revisit.service.application.ingest.scans import OpenedStream, ResumePoint, ScanAck
-from revisit.service.grpc.tenancy import tenant_of
+from revisit.service.calls.loops import loop_fields
 from revisit.service.status import STATUS, retry_after_s
-from revisit.service.wire import answers, names
+from revisit.service.wire import names
 from revisit.service.wire.requests import append_scan
 from revisit.v1 import ingest_pb2 as pb
-from revisit.v1 import ingest_pb2_grpc
 
 CREDITS = 32
 """Scans a client may have unanswered. What it sends beyond them waits in its own socket: one scan is read at a time."""
@@ -48,20 +48,20 @@ class ClientReadsNothing(RevisitError):
     code = ErrorCode.RATE
 
 
-class IngestServicer(ingest_pb2_grpc.IngestServiceServicer):
-    """Runs each stream as a `_ScanStream`; the newest stream of a session fences the older one."""
+class ScanStreams:
+    """IngestService: runs each stream as a `_ScanStream`; the newest stream of a session fences the older one."""
 
     def __init__(self, use_cases: UseCases) -> None:
         """Answers from `use_cases`."""
         self._use_cases = use_cases
         self._streams: dict[tuple[TenantId, SessionKey], _ScanStream] = {}
 
-    async def StreamScans(
-        self, requests: AsyncIterator[pb.StreamScansRequest], context: Any
+    async def stream(
+        self, requests: AsyncIterator[pb.StreamScansRequest], _context: Any
     ) -> AsyncIterator[pb.StreamScansResponse]:
         """See the proto file for the rules."""
         opening = await _open_of(requests)
-        tenant, session = tenant_of(context), names.session_key(opening.session, "session")
+        tenant, session = current_tenant(), names.session_key(opening.session, "session")
         scans, resume = self._use_cases.scans, ResumePoint(opening.resume_token, opening.acknowledged_seq)
         with scans.deletion_of(tenant, session) as ended:
             opened = await scans.open(tenant, session, resume)
@@ -202,7 +202,7 @@ class _ScanStream:
             async for view in self._use_cases.loops.watch(
                 self.tenant, self.session.map_id, after, self.session.session_id
             ):
-                await self._send(loop_closed=pb.LoopClosed(loop_closure=answers.of_loop(view)))
+                await self._send(loop_closed=pb.LoopClosed(loop_closure=loop_fields(view)))
 
     async def _send(self, **answer: Any) -> None:
         try:

@@ -1,0 +1,149 @@
+"""Maps, robots, sessions and submaps."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncIterator
+from dataclasses import fields
+
+from revisit.service.application import TenantId, UseCases
+from revisit.service.application.catalogue.maps import CreateMap, MapView
+from revisit.service.application.catalogue.robots import CreateRobot, RobotView
+from revisit.service.application.catalogue.sessions import CreateSession, SessionView
+from revisit.service.application.contract.loop_policy import LoopPolicy
+from revisit.service.application.contract.views import SubmapView
+from revisit.service.calls.operations import failure_fields
+from revisit.service.wire import names, requests
+from revisit.service.wire.fields import Fields, fields_in_map, fields_of, resource_name
+from revisit.service.wire.rendering import Answer, Listed
+from revisit.v1 import map_pb2, robot_pb2, session_pb2, submap_pb2
+
+
+async def create_map(cases: UseCases, tenant: TenantId, request: map_pb2.CreateMapRequest) -> Answer:
+    """What is absent is as the service is configured."""
+    own = requests.present(request, "tau_m", "stride_m", "leave_distance_m", "scene_scale")
+    policy = LoopPolicy(**requests.present(request.loop_policy, *(field.name for field in fields(LoopPolicy))))
+    created = await cases.maps.create(
+        tenant, CreateMap(request.map_id, request.display_name, **own, loop_policy=policy)
+    )
+    return {"map": map_fields(created.map), "replay": created.replay}
+
+
+async def get_map(cases: UseCases, tenant: TenantId, request: map_pb2.GetMapRequest) -> Answer:
+    """A map."""
+    return {"map": map_fields(await cases.maps.get(tenant, names.map_id(request.name)))}
+
+
+async def list_maps(cases: UseCases, tenant: TenantId, request: map_pb2.ListMapsRequest) -> Answer:
+    """The maps."""
+    return Listed("maps", await cases.maps.list(tenant, requests.page(request)), map_fields)
+
+
+async def delete_map(cases: UseCases, tenant: TenantId, request: map_pb2.DeleteMapRequest) -> Answer:
+    """Nothing is left of it."""
+    await cases.maps.delete(tenant, names.map_id(request.name))
+    return {}
+
+
+async def create_robot(cases: UseCases, tenant: TenantId, request: robot_pb2.CreateRobotRequest) -> Answer:
+    """A new robot."""
+    created = await cases.robots.create(tenant, CreateRobot(request.robot_id, request.display_name))
+    return {"robot": robot_fields(created.robot), "replay": created.replay}
+
+
+async def get_robot(cases: UseCases, tenant: TenantId, request: robot_pb2.GetRobotRequest) -> Answer:
+    """A robot."""
+    return {"robot": robot_fields(await cases.robots.get(tenant, names.robot_id(request.name)))}
+
+
+async def list_robots(cases: UseCases, tenant: TenantId, request: robot_pb2.ListRobotsRequest) -> Answer:
+    """The robots."""
+    return Listed("robots", await cases.robots.list(tenant, requests.page(request)), robot_fields)
+
+
+async def create_session(cases: UseCases, tenant: TenantId, request: session_pb2.CreateSessionRequest) -> Answer:
+    """A new session."""
+    robot_id = names.robot_id(request.robot, "robot") if request.robot else None
+    map_id = names.map_id(request.parent, "parent")
+    command = CreateSession(map_id, request.session_id, robot_id, request.storey or None)
+    created = await cases.sessions.create(tenant, command)
+    return {"session": session_fields(created.session), "replay": created.replay}
+
+
+async def get_session(cases: UseCases, tenant: TenantId, request: session_pb2.GetSessionRequest) -> Answer:
+    """A session."""
+    return {"session": session_fields(await cases.sessions.get(tenant, names.session_key(request.name)))}
+
+
+async def list_sessions(cases: UseCases, tenant: TenantId, request: session_pb2.ListSessionsRequest) -> Answer:
+    """The sessions of a map."""
+    map_id = names.map_id(request.parent, "parent")
+    return Listed("sessions", await cases.sessions.list(tenant, map_id, requests.page(request)), session_fields)
+
+
+async def finish_session(cases: UseCases, tenant: TenantId, request: session_pb2.FinishSessionRequest) -> Answer:
+    """The session, which takes no more scans."""
+    return {"session": session_fields(await cases.sessions.finish(tenant, names.session_key(request.name)))}
+
+
+async def delete_session(cases: UseCases, tenant: TenantId, request: session_pb2.DeleteSessionRequest) -> Answer:
+    """Nothing is left of it."""
+    await cases.sessions.delete(tenant, names.session_key(request.name))
+    return {}
+
+
+async def get_submap(cases: UseCases, tenant: TenantId, request: submap_pb2.GetSubmapRequest) -> Answer:
+    """A submap."""
+    full = request.view == submap_pb2.GetSubmapRequest.FULL
+    return {"submap": submap_fields(await cases.submaps.get(tenant, names.submap_key(request.name), full=full))}
+
+
+async def list_submaps(cases: UseCases, tenant: TenantId, request: submap_pb2.ListSubmapsRequest) -> Answer:
+    """The submaps of a session."""
+    session = names.session_key(request.parent, "parent")
+    return Listed("submaps", await cases.submaps.list(tenant, session, requests.page(request)), submap_fields)
+
+
+async def delete_submap(cases: UseCases, tenant: TenantId, request: submap_pb2.DeleteSubmapRequest) -> Answer:
+    """Nothing is left of it."""
+    await cases.submaps.delete(tenant, names.submap_key(request.name))
+    return {}
+
+
+async def download_submap(
+    cases: UseCases, tenant: TenantId, request: submap_pb2.DownloadSubmapRequest
+) -> AsyncIterator[Fields]:
+    """A file in chunks; the first one says what it is."""
+    key, what = names.submap_key(request.name), requests.download(request.format)
+    with cases.budget.hold(tenant) as held:
+        file = await cases.submaps.download(tenant, key, *what, room=held.wait_for)
+        held.set(len(file.data))
+        for chunk in requests.chunks(file):
+            yield chunk
+
+
+def map_fields(view: MapView) -> Fields:
+    """The fields of a Map."""
+    return fields_of(map_pb2.Map, view, name=f"maps/{view.map_id}")
+
+
+def robot_fields(view: RobotView) -> Fields:
+    """The fields of a Robot."""
+    return fields_of(robot_pb2.Robot, view, name=f"robots/{view.robot_id}")
+
+
+def session_fields(view: SessionView) -> Fields:
+    """The fields of a Session."""
+    return fields_of(session_pb2.Session, view, name=view.key.name, robot=resource_name("robots", view.robot_id))
+
+
+def submap_fields(view: SubmapView) -> Fields:
+    """The fields of a Submap."""
+    return fields_of(
+        submap_pb2.Submap,
+        view,
+        name=view.key.name,
+        failure=failure_fields(view.failure),
+        operation=f"operations/{view.operation_id}",
+        place_descriptor=None if view.descriptor is None else view.descriptor.tolist(),
+        **fields_in_map("t_map_submap", view.in_map),
+    )

@@ -1,0 +1,130 @@
+"""Loop closures, and the decisions of people on them."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncIterator
+
+from revisit.service.application import TenantId, UseCases
+from revisit.service.application.contract.map_frames import matrix_of
+from revisit.service.application.contract.states import GraphState, LoopState
+from revisit.service.application.mapping.loop_decisions import LoopEventView, ProposeLoop
+from revisit.service.application.query.loop_keypoints import KeypointPlan, LoopKeypoints
+from revisit.service.application.query.loops import LoopClosureView
+from revisit.service.calls.operations import operation_fields
+from revisit.service.wire import names, requests
+from revisit.service.wire.fields import Fields, fields_in_map, fields_of, transform_fields
+from revisit.service.wire.rendering import Answer, Listed
+from revisit.v1 import loop_closure_pb2 as pb
+
+
+async def get_loop_closure(cases: UseCases, tenant: TenantId, request: pb.GetLoopClosureRequest) -> Answer:
+    """A loop closure with its evidence."""
+    return {"loop_closure": loop_fields(await cases.loops.get(tenant, *names.loop_key(request.name)))}
+
+
+async def list_loop_closures(cases: UseCases, tenant: TenantId, request: pb.ListLoopClosuresRequest) -> Answer:
+    """The loop closures of a map."""
+    page = await cases.loops.list(
+        tenant,
+        names.map_id(request.parent, "parent"),
+        requests.page(request),
+        requests.state_of(LoopState, pb.LoopClosure.State, request.state),
+        names.session_id_in(request.parent, request.session, "session"),
+        requests.freshness(request),
+        requests.state_of(GraphState, pb.LoopClosure.GraphState, request.graph_state),
+        request.reason,
+    )
+    return Listed("loop_closures", page, loop_fields)
+
+
+async def watch_loop_closures(
+    cases: UseCases, tenant: TenantId, request: pb.WatchLoopClosuresRequest
+) -> AsyncIterator[Fields]:
+    """The accepted loop closures, those to come too."""
+    map_id = names.map_id(request.parent, "parent")
+    session_id = names.session_id_in(request.parent, request.session, "session")
+    async for view in cases.loops.watch(tenant, map_id, request.after, session_id):
+        yield {"loop_closure": loop_fields(view)}
+
+
+async def create_loop_closure(cases: UseCases, tenant: TenantId, request: pb.CreateLoopClosureRequest) -> Answer:
+    """A loop closure that a person has found, and the operation that verifies it."""
+    command = ProposeLoop(
+        query=names.submap_key_in(request.parent, request.query, "query"),
+        match=names.submap_key_in(request.parent, request.match, "match"),
+        T_match_query=requests.optional_pose(request, "t_match_query"),
+        note=request.note,
+    )
+    proposed = await cases.loop_decisions.propose(tenant, command)
+    return {
+        "loop_closure": loop_fields(proposed.loop),
+        "operation": operation_fields(proposed.operation),
+        "replay": proposed.replay,
+    }
+
+
+async def accept_loop_closure(cases: UseCases, tenant: TenantId, request: pb.AcceptLoopClosureRequest) -> Answer:
+    """The loop closure, accepted by a person."""
+    key = names.loop_key(request.name)
+    return {"loop_closure": loop_fields(await cases.loop_decisions.accept(tenant, *key, request.note))}
+
+
+async def reject_loop_closure(cases: UseCases, tenant: TenantId, request: pb.RejectLoopClosureRequest) -> Answer:
+    """The loop closure, rejected by a person."""
+    key = names.loop_key(request.name)
+    return {"loop_closure": loop_fields(await cases.loop_decisions.reject(tenant, *key, request.note))}
+
+
+async def revert_loop_closure(cases: UseCases, tenant: TenantId, request: pb.RevertLoopClosureRequest) -> Answer:
+    """The loop closure as it was before the last decision."""
+    key = names.loop_key(request.name)
+    return {"loop_closure": loop_fields(await cases.loop_decisions.revert(tenant, *key, request.note))}
+
+
+async def get_loop_closure_keypoints(
+    cases: UseCases, tenant: TenantId, request: pb.GetLoopClosureKeypointsRequest
+) -> Answer:
+    """The keypoints of a loop closure's two submaps."""
+    return keypoint_fields(await cases.loop_keypoints.of(tenant, *names.loop_key(request.name)))
+
+
+async def list_loop_closure_events(
+    cases: UseCases, tenant: TenantId, request: pb.ListLoopClosureEventsRequest
+) -> Answer:
+    """The history of a loop closure."""
+    key = names.loop_key(request.parent, "parent")
+    page = await cases.loop_decisions.events(tenant, *key, requests.page(request))
+    return Listed("loop_closure_events", page, loop_event_fields)
+
+
+def loop_fields(view: LoopClosureView) -> Fields:
+    """The fields of a LoopClosure."""
+    T_map_match = matrix_of(None if view.in_map is None else view.in_map.match)
+    return fields_of(
+        pb.LoopClosure,
+        view,
+        query=view.query.name,
+        match=view.match.name,
+        **fields_in_map("t_map_query", None if view.in_map is None else view.in_map.query),
+        t_map_match=None if T_map_match is None else transform_fields(T_map_match),
+    )
+
+
+def loop_event_fields(view: LoopEventView) -> Fields:
+    """The fields of a LoopClosureEvent."""
+    return fields_of(pb.LoopClosureEvent, view)
+
+
+def keypoint_fields(view: LoopKeypoints) -> Fields:
+    """The fields of a GetLoopClosureKeypointsResponse."""
+    pairs = zip(view.pairs.tolist(), view.agrees.tolist(), strict=True)
+    return {
+        "query": _plan_fields(view.query),
+        "match": _plan_fields(view.match),
+        "pairs": [{"query": query, "match": match, "agrees": agrees} for (query, match), agrees in pairs],
+    }
+
+
+def _plan_fields(plan: KeypointPlan) -> Fields:
+    x, y = plan.keypoints.T.round(3).tolist()
+    return fields_of(pb.KeypointPlan, plan, submap=plan.submap.name, x=x, y=y)

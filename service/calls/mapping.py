@@ -1,0 +1,124 @@
+"""One map out of many sessions: versions of its poses, merges, corrections."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncIterator, Mapping
+from typing import Any
+
+from revisit.service.application import TenantId, UseCases
+from revisit.service.application.contract.records import MapMergeRecord
+from revisit.service.application.mapping.corrections import CorrectionView
+from revisit.service.application.mapping.merges import MergeMap
+from revisit.service.application.mapping.versions import MapVersionView, SubmapPoseView
+from revisit.service.calls.operations import asked_fields
+from revisit.service.wire import names, requests
+from revisit.service.wire.fields import Fields, covariance_numbers, fields_of, resource_name, vector_fields
+from revisit.service.wire.rendering import Answer, Listed
+from revisit.v1 import mapping_pb2 as pb
+
+
+async def optimise_map(cases: UseCases, tenant: TenantId, request: pb.OptimiseMapRequest) -> Answer:
+    """The operation that optimises a map."""
+    return asked_fields(await cases.map_versions.optimise(tenant, names.map_id(request.name)))
+
+
+async def list_map_versions(cases: UseCases, tenant: TenantId, request: pb.ListMapVersionsRequest) -> Answer:
+    """The versions of a map."""
+    page = await cases.map_versions.list(tenant, names.map_id(request.parent, "parent"), requests.page(request))
+    return Listed("map_versions", page, version_fields)
+
+
+async def get_map_version(cases: UseCases, tenant: TenantId, request: pb.GetMapVersionRequest) -> Answer:
+    """A version of a map."""
+    return {"map_version": version_fields(await cases.map_versions.get(tenant, *names.version_key(request.name)))}
+
+
+async def list_submap_poses(cases: UseCases, tenant: TenantId, request: pb.ListSubmapPosesRequest) -> Answer:
+    """The poses of a version of a map."""
+    key = names.version_key(request.parent, "parent")
+    page = await cases.map_versions.poses(tenant, *key, requests.page(request))
+    return Listed("submap_poses", page, submap_pose_fields)
+
+
+async def revert_map(cases: UseCases, tenant: TenantId, request: pb.RevertMapRequest) -> Answer:
+    """A new version with the poses of an earlier one."""
+    view = await cases.map_versions.revert(tenant, names.map_id(request.name), request.version)
+    return {"map_version": version_fields(view)}
+
+
+async def merge_map(cases: UseCases, tenant: TenantId, request: pb.MergeMapRequest) -> Answer:
+    """The operation that merges another map, or a session of it, into a map."""
+    command = MergeMap(
+        names.map_id(request.name),
+        *names.merge_source(request.source),
+        request.validate_only,
+        requests.optional_pose(request, "t_map_source"),
+        requests.optional(request, "radius_m"),
+    )
+    return asked_fields(await cases.map_merges.merge(tenant, command))
+
+
+async def list_map_merges(cases: UseCases, tenant: TenantId, request: pb.ListMapMergesRequest) -> Answer:
+    """The merges into a map."""
+    page = await cases.map_merges.list(tenant, names.map_id(request.parent, "parent"), requests.page(request))
+    return Listed("map_merges", page, merge_fields)
+
+
+async def get_map_merge(cases: UseCases, tenant: TenantId, request: pb.GetMapMergeRequest) -> Answer:
+    """A merge into a map."""
+    return {"map_merge": merge_fields(await cases.map_merges.get(tenant, *names.merge_key(request.name)))}
+
+
+async def revert_map_merge(cases: UseCases, tenant: TenantId, request: pb.RevertMapMergeRequest) -> Answer:
+    """A merge, taken back."""
+    return {"map_merge": merge_fields(await cases.map_merges.revert(tenant, *names.merge_key(request.name)))}
+
+
+async def get_correction(cases: UseCases, tenant: TenantId, request: pb.GetCorrectionRequest) -> Answer:
+    """Where the odometry frame of a session lies in the map."""
+    return {"correction": correction_fields(await cases.corrections.get(tenant, names.session_key(request.name)))}
+
+
+async def watch_corrections(
+    cases: UseCases, tenant: TenantId, request: pb.WatchCorrectionsRequest
+) -> AsyncIterator[Fields]:
+    """The corrections of a map, those to come too."""
+    map_id = names.map_id(request.parent, "parent")
+    session_id = names.session_id_in(request.parent, request.session, "session")
+    async for view in cases.corrections.watch(tenant, map_id, request.after, session_id):
+        yield {"correction": correction_fields(view)}
+
+
+def version_fields(view: MapVersionView) -> Fields:
+    """The fields of a MapVersion."""
+    name, operation = f"maps/{view.map_id}/versions/{view.version}", resource_name("operations", view.operation_id)
+    return fields_of(pb.MapVersion, view, name=name, operation=operation)
+
+
+def submap_pose_fields(view: SubmapPoseView) -> Fields:
+    """The fields of a SubmapPose."""
+    covariance = covariance_numbers(view.covariance)
+    return fields_of(pb.SubmapPose, view, submap=view.key.name, covariance=covariance)
+
+
+def merge_fields(record: MapMergeRecord) -> Fields:
+    """The fields of a MapMerge."""
+    return fields_of(
+        pb.MapMerge,
+        record,
+        name=f"maps/{record.map_id}/merges/{record.merge_id}",
+        sessions=[f"maps/{record.map_id}/sessions/{name}" for name in record.sessions],
+        report={name: value for name, value in record.report.items() if name != "changes"},
+        changes=[_change_fields(one) for one in record.report["changes"]],
+    )
+
+
+def _change_fields(change: Mapping[str, Any]) -> Fields:
+    """The fields of a MapChange."""
+    return {**change, "centre_m": vector_fields(change["centre_m"]), "extent_m": vector_fields(change["extent_m"])}
+
+
+def correction_fields(view: CorrectionView) -> Fields:
+    """The fields of a Correction."""
+    covariance = covariance_numbers(view.covariance)
+    return fields_of(pb.Correction, view, session=view.session.name, covariance=covariance)

@@ -1,0 +1,71 @@
+"""Operations, and what the service is doing."""
+
+from __future__ import annotations
+
+from revisit.service.application import TenantId, UseCases
+from revisit.service.application.contract import limits
+from revisit.service.application.contract.states import OperationState
+from revisit.service.application.contract.views import OperationFailure, OperationView, PostedOperation
+from revisit.service.wire import names, requests
+from revisit.service.wire.fields import Fields, fields_of
+from revisit.service.wire.rendering import Answer, Listed
+from revisit.v1 import operation_pb2, system_pb2
+
+DEFAULT_OPERATION_WAIT_S = 30.0
+
+
+async def get_operation(cases: UseCases, tenant: TenantId, request: operation_pb2.GetOperationRequest) -> Answer:
+    """An operation."""
+    return {"operation": operation_fields(await cases.operations.get(tenant, names.operation_id(request.name)))}
+
+
+async def list_operations(cases: UseCases, tenant: TenantId, request: operation_pb2.ListOperationsRequest) -> Answer:
+    """The operations."""
+    state = requests.state_of(OperationState, operation_pb2.Operation.State, request.state)
+    page = await cases.operations.list(tenant, requests.page(request), state)
+    return Listed("operations", page, operation_fields)
+
+
+async def wait_operation(cases: UseCases, tenant: TenantId, request: operation_pb2.WaitOperationRequest) -> Answer:
+    """The operation once it has ended, or as it stands after the timeout."""
+    given = requests.optional(request, "timeout_s")
+    wait_s = DEFAULT_OPERATION_WAIT_S if given is None else limits.WAIT_S.validated(float(given), "timeout_s")
+    view = await cases.operations.wait(tenant, names.operation_id(request.name), wait_s)
+    return {"operation": operation_fields(view)}
+
+
+async def retry_operation(cases: UseCases, tenant: TenantId, request: operation_pb2.RetryOperationRequest) -> Answer:
+    """A failed description, queued again."""
+    return {"operation": operation_fields(await cases.dead_letters.retry(tenant, names.operation_id(request.name)))}
+
+
+async def cancel_operation(cases: UseCases, tenant: TenantId, request: operation_pb2.CancelOperationRequest) -> Answer:
+    """The operation, which changes nothing more."""
+    return {"operation": operation_fields(await cases.operations.cancel(tenant, names.operation_id(request.name)))}
+
+
+async def get_status(cases: UseCases, tenant: TenantId, _request: system_pb2.GetStatusRequest) -> Answer:
+    """Queue depth, index size, workers and versions."""
+    status = await cases.system.status(tenant)
+    workers = [{"worker_id": one.worker_id, "model_version": one.model_version} for one in status.workers]
+    return fields_of(system_pb2.GetStatusResponse, status, workers=workers)
+
+
+def operation_fields(view: OperationView) -> Fields:
+    """The fields of an Operation."""
+    return fields_of(
+        operation_pb2.Operation,
+        view,
+        name=f"operations/{view.operation_id}",
+        failure=failure_fields(view.failure),
+    )
+
+
+def failure_fields(failure: OperationFailure | None) -> Fields | None:
+    """The fields of a Failure."""
+    return None if failure is None else {"reason": failure.code, "message": failure.message}
+
+
+def asked_fields(posted: PostedOperation) -> Fields:
+    """An operation that was asked for, as the two fields of its response."""
+    return {"operation": operation_fields(posted.operation), "replay": posted.replay}

@@ -1,0 +1,96 @@
+"""Events, and the webhooks that are told of them."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncIterator, Sequence
+
+from pydantic_core import to_json
+
+from revisit.service.application import TenantId, UseCases
+from revisit.service.application.contract.webhooks import DeliveryRecord
+from revisit.service.application.push.events import EventView
+from revisit.service.application.push.webhooks import CreateWebhook, WebhookView
+from revisit.service.calls.loops import loop_fields
+from revisit.service.calls.mapping import version_fields
+from revisit.service.calls.operations import operation_fields
+from revisit.service.wire import names, requests
+from revisit.service.wire.fields import Fields, fields_of
+from revisit.service.wire.json_form import json_form
+from revisit.service.wire.rendering import Answer, Listed
+from revisit.v1 import event_pb2, webhook_pb2
+
+
+async def watch_events(
+    cases: UseCases, tenant: TenantId, request: event_pb2.WatchEventsRequest
+) -> AsyncIterator[Fields]:
+    """The events of a map, those to come too; an empty answer is a sign of life."""
+    map_id, kinds = names.map_id(request.parent, "parent"), frozenset(requests.event_kinds(request.kinds))
+    async for view in cases.events.watch(tenant, map_id, requests.optional(request, "after"), kinds):
+        yield {"event": None if view is None else event_fields(view)}
+
+
+async def create_webhook(cases: UseCases, tenant: TenantId, request: webhook_pb2.CreateWebhookRequest) -> Answer:
+    """A new webhook with its secret."""
+    map_id = names.map_id(request.map, "map") if request.map else None
+    kinds = tuple(requests.event_kinds(request.kinds))
+    created = await cases.webhooks.create(tenant, CreateWebhook(request.webhook_id, request.url, map_id, kinds))
+    return {"webhook": webhook_fields(created.webhook), "secret": created.secret, "replay": created.replay}
+
+
+async def get_webhook(cases: UseCases, tenant: TenantId, request: webhook_pb2.GetWebhookRequest) -> Answer:
+    """A webhook."""
+    return {"webhook": webhook_fields(await cases.webhooks.get(tenant, names.webhook_id(request.name)))}
+
+
+async def list_webhooks(cases: UseCases, tenant: TenantId, request: webhook_pb2.ListWebhooksRequest) -> Answer:
+    """The webhooks."""
+    return Listed("webhooks", await cases.webhooks.list(tenant, requests.page(request)), webhook_fields)
+
+
+async def delete_webhook(cases: UseCases, tenant: TenantId, request: webhook_pb2.DeleteWebhookRequest) -> Answer:
+    """Nothing more is sent."""
+    await cases.webhooks.delete(tenant, names.webhook_id(request.name))
+    return {}
+
+
+async def resume_webhook(cases: UseCases, tenant: TenantId, request: webhook_pb2.ResumeWebhookRequest) -> Answer:
+    """The webhook, which is tried again at once."""
+    return {"webhook": webhook_fields(await cases.webhooks.resume(tenant, names.webhook_id(request.name)))}
+
+
+async def list_webhook_deliveries(
+    cases: UseCases, tenant: TenantId, request: webhook_pb2.ListWebhookDeliveriesRequest
+) -> Answer:
+    """The last attempts."""
+    webhook_id = names.webhook_id(request.parent, "parent")
+    page = await cases.webhooks.deliveries(tenant, webhook_id, requests.page(request))
+    return Listed("webhook_deliveries", page, delivery_fields)
+
+
+def event_fields(view: EventView) -> Fields:
+    """The fields of an Event."""
+    return fields_of(
+        event_pb2.Event,
+        view,
+        map=f"maps/{view.map_id}" if view.map_id else "",
+        loop_closure=None if view.loop is None else loop_fields(view.loop),
+        operation=None if view.operation is None else operation_fields(view.operation),
+        map_version=None if view.map_version is None else version_fields(view.map_version),
+    )
+
+
+def webhook_fields(view: WebhookView) -> Fields:
+    """The fields of a Webhook."""
+    map_name = f"maps/{view.map_id}" if view.map_id else ""
+    return fields_of(webhook_pb2.Webhook, view, name=f"webhooks/{view.webhook_id}", map=map_name)
+
+
+def delivery_fields(record: DeliveryRecord) -> Fields:
+    """The fields of a WebhookDelivery."""
+    return fields_of(webhook_pb2.WebhookDelivery, record)
+
+
+def webhook_body(name: str, events: Sequence[EventView]) -> bytes:
+    """The body of a request to a webhook, by its resource name: JSON of a WebhookBody."""
+    fields = {"webhook": name, "events": [event_fields(event) for event in events]}
+    return to_json(json_form(webhook_pb2.WebhookBody, fields), inf_nan_mode="null")

@@ -1,0 +1,84 @@
+"""What the descriptors of requests do not say of their fields: bounds, defaults, and which must be given.
+
+By the name of a field, which means the same in every message.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from revisit.service.application.catalogue.paging import PageRequest
+from revisit.service.application.contract import limits
+from revisit.service.application.contract.limits import Range
+from revisit.service.application.mapping.tiles import MapQuestion
+from revisit.service.application.query.freshness import DEFAULT_WAIT_S
+from revisit.service.calls.operations import DEFAULT_OPERATION_WAIT_S
+from revisit.service.rest.schemas import DISPLAY_NAME, ID, STOREY
+
+POSE_CHARACTERS, POINT_CHARACTERS = 400, 200
+
+BOUNDS: dict[str, Range] = {
+    "tau_m": limits.TAU_M,
+    "stride_m": limits.STRIDE_M,
+    "leave_distance_m": limits.LEAVE_DISTANCE_M,
+    "scene_scale": limits.SCENE_SCALE,
+    "candidates": limits.LOOP_CANDIDATES,
+    "min_score": limits.MIN_SCORE,
+    "min_overlap": limits.MIN_OVERLAP,
+    "max_seen_through": limits.MAX_SEEN_THROUGH,
+    "version": limits.MAP_VERSION,
+    "radius_m": limits.RADIUS_M,
+    "within_m": limits.MAP_RADIUS_M,
+    "limit": limits.MAP_POINTS,
+    "page_size": limits.PAGE_SIZE,
+    "min_seq": limits.MIN_SEQ,
+    "min_seq_timeout_s": limits.WAIT_S,
+    "timeout_s": limits.WAIT_S,
+}
+"""Of numbers."""
+
+TEXTS: dict[str, dict[str, Any]] = {
+    "map_id": ID,
+    "robot_id": ID,
+    "session_id": ID,
+    "webhook_id": ID,
+    "robot": ID,
+    "map": ID,
+    "display_name": DISPLAY_NAME,
+    "storey": STOREY,
+    "url": {"max_length": limits.URL_CHARACTERS},
+    "page_token": {"max_length": limits.PAGE_TOKEN_CHARACTERS},
+    "reason": {"max_length": limits.REASON_CHARACTERS},
+    "note": {"max_length": limits.NOTE_CHARACTERS},
+    "map_descriptor": {"max_length": limits.NOTE_CHARACTERS},
+    "source": {"max_length": limits.RESOURCE_NAME_CHARACTERS},
+    "query": {"max_length": limits.RESOURCE_NAME_CHARACTERS},
+    "match": {"max_length": limits.RESOURCE_NAME_CHARACTERS},
+    "frame": {"max_length": limits.ID_CHARACTERS},
+    "session": {"max_length": limits.ID_CHARACTERS},
+}
+"""Of strings."""
+
+DEFAULTS: dict[str, Any] = {
+    "scene_scale": 1.0,
+    "page_size": PageRequest().size,
+    "limit": MapQuestion.limit,
+    "min_seq_timeout_s": DEFAULT_WAIT_S,
+    "timeout_s": DEFAULT_OPERATION_WAIT_S,
+    "view": "BASIC",
+    "storey": None,
+    "reason": None,
+}
+"""Where they are not those of protobuf."""
+
+REQUIRED = frozenset({
+    "map_id", "robot_id", "session_id", "webhook_id", "url", "version", "source", "query", "match", "points_m",
+    "centre_m", "within_m",
+})  # fmt: skip
+
+BY_ID = {
+    "CreateSessionRequest.robot": ("robot_id", "robots/{id}"),
+    "CreateWebhookRequest.map": ("map_id", "maps/{id}"),
+    "ListLoopClosuresRequest.session": ("session_id", "{parent}/sessions/{id}"),
+}
+"""Resources that are named by their id: the field over HTTP, and the name that it stands for."""
