@@ -11,14 +11,10 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
-<<<<<<< HEAD
+from revisit.api.calls import CALLS
 from revisit.core.codec import neural_map as codec
 from revisit.core.codec import place as place_form
 from revisit.core.codec.mesh import unpack_mesh
-=======
-from revisit.api.calls import CALLS
-from revisit.core import place_first_form, place_form, place_second_form, place_third_form
->>>>>>> c9234497 (Every call is one row of one table: gRPC handlers, HTTP routes and OpenAPI are made from it)
 from revisit.core.errors import DataLoss, RevisitError
 from revisit.core.place import Place
 from revisit.core.scan import validate_cloud
