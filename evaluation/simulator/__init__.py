@@ -1,18 +1,16 @@
 """A LiDAR simulator: ray casting through a procedural town with vegetation, changing parked cars and moving traffic.
 
-streets = grid.streets() or streets_under(path)      paths
+streets = grid.streets()                             paths
 world = build_city(streets, seed, drive=path)        city
-later = changed(world, seed)                         changes
 trajectory = drive(path, world.ground)               trajectories
 for scan in simulate(world, trajectory, HDL64, seed) lidar
 """
 
-from revisit.evaluation.simulator.changes import Changes, changed
 from revisit.evaluation.simulator.city import TownPlan, World, build_city
 from revisit.evaluation.simulator.lidar import SimulatedScan, simulate
-from revisit.evaluation.simulator.paths import Path, StreetGrid, streets_under
+from revisit.evaluation.simulator.paths import Path, StreetGrid
 from revisit.evaluation.simulator.sensors import HDL32, HDL64, OS1_64, SENSORS, VLP16, LidarModel
-from revisit.evaluation.simulator.trajectories import Trajectory, drive, grid_drive, kitti_path
+from revisit.evaluation.simulator.trajectories import Trajectory, drive, grid_drive
 
 __all__ = [
     "HDL32",
@@ -20,7 +18,6 @@ __all__ = [
     "OS1_64",
     "SENSORS",
     "VLP16",
-    "Changes",
     "LidarModel",
     "Path",
     "SimulatedScan",
@@ -29,10 +26,7 @@ __all__ = [
     "Trajectory",
     "World",
     "build_city",
-    "changed",
     "drive",
     "grid_drive",
-    "kitti_path",
     "simulate",
-    "streets_under",
 ]  # fmt: skip

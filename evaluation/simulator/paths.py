@@ -5,8 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
-from scipy.spatial import cKDTree
+from numpy.typing import ArrayLike
 
 from revisit.evaluation.simulator.blocks import Floats
 
@@ -95,19 +94,3 @@ class StreetGrid:
     def route(self, crossings: list[tuple[int, int]]) -> Path:
         """The way over the given crossings along street centres."""
         return Path.through([self.crossing(column, row) for column, row in crossings])
-
-
-def streets_under(drive: Path, merge_m: float = 9.0) -> list[Path]:
-    """The streets below a recorded drive: passes over ground that was already driven add no second street."""
-    dense = drive.sampled(1.0).points
-    repeated = _repeats_earlier(dense, merge_m)
-    starts = np.flatnonzero(~repeated & np.concatenate([[True], repeated[:-1]]))
-    ends = np.flatnonzero(~repeated & np.concatenate([repeated[1:], [True]]))
-    pieces = [dense[max(0, start - 12) : end + 13] for start, end in zip(starts, ends, strict=True) if end - start > 15]
-    return [Path.through(piece) for piece in pieces]
-
-
-def _repeats_earlier(dense: Floats, merge_m: float) -> NDArray[np.bool_]:
-    neighbours = cKDTree(dense).query_ball_point(dense, merge_m)
-    gap = int(4 * merge_m)
-    return np.array([min(near) < index - gap for index, near in enumerate(neighbours)])

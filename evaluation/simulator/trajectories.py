@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from revisit.core.geometry import se3
 from revisit.evaluation.simulator.blocks import Floats
@@ -79,9 +79,3 @@ def grid_drive_crossings() -> list[tuple[int, int]]:
 def grid_drive(grid: StreetGrid, crossings: list[tuple[int, int]] | None = None, corner_m: float = 6.0) -> Path:
     """The drive over `crossings` (by default `grid_drive_crossings`) with rounded corners."""
     return grid.route(crossings or grid_drive_crossings()).rounded(corner_m)
-
-
-def kitti_path(poses: ArrayLike) -> Path:
-    """The way over ground of KITTI camera poses (n, 12): camera x to the right and z ahead become x ahead, y left."""
-    translation = np.asarray(poses, dtype=np.float64).reshape(-1, 3, 4)[:, :, 3]
-    return Path.through(np.column_stack([translation[:, 2], -translation[:, 0]])).rounded(1.5)

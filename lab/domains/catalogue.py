@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from lab.worlds.drives import DrivenWorld, Leg, Ride, backwards, winding_way
 from lab.worlds.facades import facade_way, facade_world
 from lab.worlds.overgrown_towns import as_overgrown
+from lab.worlds.recorded_ways import kitti_path
 from lab.worlds.resimulation import beside_where_free, driven_way, resimulated_world
 from lab.worlds.towns import MIXED as TOWN_ROUTE
 from lab.worlds.towns import SimulatedDrive
@@ -24,7 +25,7 @@ from revisit.evaluation.datasets import Recording
 from revisit.evaluation.metrics import LoopProtocol
 from revisit.evaluation.perturbations import Perturbation
 from revisit.evaluation.real_data import MISSING, has_real_data, real_data, real_recording
-from revisit.evaluation.simulator import HDL32, HDL64, OS1_64, VLP16, LidarModel, Path, kitti_path
+from revisit.evaluation.simulator import HDL32, HDL64, OS1_64, VLP16, LidarModel, Path
 
 _WAY_M, _BACK_M = 1_000.0, 600.0
 _SPARSE = SubmapConfig(stride=10.0)

@@ -25,11 +25,12 @@ from lab.recognition.comparison import (
     describe_recording,
 )
 from lab.recognition.experiment import Experiment
+from lab.recognition.remembered_verdicts import RememberedVerdicts
 from lab.worlds.drives import DrivenWorld
 from revisit.core.config import PipelineConfig
 from revisit.core.model_bundle import load_packaged_models
 from revisit.evaluation.baselines import PlaceRecogniser, ScanContext
-from revisit.evaluation.loop_closure_method import LoopClosureMethod, RememberedVerdicts, RevisitMethod
+from revisit.evaluation.loop_closure_method import LoopClosureMethod, RevisitMethod
 
 PEERS: tuple[PlaceRecogniser, ...] = (Ring(), RingPlusPlus(), ScanContext(), AugmentedScanContext())
 PROTOCOL = "domain"

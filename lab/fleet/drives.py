@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from lab.worlds.changes import changed
 from revisit.core.geometry import se3
 from revisit.evaluation.simulator import (
     OS1_64,
@@ -18,7 +19,6 @@ from revisit.evaluation.simulator import (
     Trajectory,
     World,
     build_city,
-    changed,
     drive,
     simulate,
 )

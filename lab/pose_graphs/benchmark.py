@@ -14,9 +14,9 @@ from queue import Empty
 import numpy as np
 from numpy.typing import NDArray
 
+from lab.pose_graphs.g2o_reading import read_g2o
 from lab.pose_graphs.wrong_loops import is_wrong, with_agreeing_loops, with_random_loops
 from revisit.core.pose_graph import LoopState, PoseGraph, Robustness, optimise
-from revisit.core.pose_graph.g2o import read_g2o
 
 GRAPHS = ("kitti_00", "kitti_05", "intel", "CSAIL", "sphere2500", "parking-garage")
 METHODS = (Robustness.ONLINE, Robustness.COMMIT, Robustness.PLAIN, Robustness.HUBER, Robustness.GNC)

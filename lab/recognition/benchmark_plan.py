@@ -24,6 +24,7 @@ from lab.recognition.comparison import (
     verified_result,
 )
 from lab.recognition.experiment import Experiment
+from lab.recognition.remembered_verdicts import RememberedVerdicts
 from lab.recognition.scan_baseline import with_bow3d
 from lab.recognition.sequential_baseline import with_map_closures
 from lab.worlds.towns import DRIVES, SESSIONS, SimulatedDrive
@@ -32,7 +33,7 @@ from revisit.core.descriptor.fusion import without_parts
 from revisit.core.model_bundle import load_packaged_models
 from revisit.evaluation.baselines import PlaceRecogniser
 from revisit.evaluation.datasets import PosedClouds, Recording, open_recording
-from revisit.evaluation.loop_closure_method import LoopClosureMethod, RememberedVerdicts, RevisitMethod
+from revisit.evaluation.loop_closure_method import LoopClosureMethod, RevisitMethod
 from revisit.evaluation.metrics import LoopProtocol
 from revisit.evaluation.perturbations import Perturbation
 from revisit.evaluation.scene import estimate_scene_scale

@@ -13,6 +13,7 @@ from pathlib import Path as Folder
 
 import numpy as np
 
+from lab.worlds.changes import changed
 from revisit.core.geometry import se3
 from revisit.core.scan import Points
 from revisit.evaluation.datasets import KittiRecording, write_kitti
@@ -27,7 +28,6 @@ from revisit.evaluation.simulator import (
     TownPlan,
     World,
     build_city,
-    changed,
     drive,
     simulate,
 )

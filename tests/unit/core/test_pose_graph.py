@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from lab.pose_graphs.benchmark import Case, Spoiling, measure
+from lab.pose_graphs.g2o_reading import read_g2o
 from lab.pose_graphs.wrong_loops import is_wrong, with_agreeing_loops
 from revisit.core.errors import BadField, MalformedBody
 from revisit.core.geometry import se3
@@ -27,7 +28,7 @@ from revisit.core.pose_graph import (
     optimise,
 )
 from revisit.core.pose_graph.consistency import agreement, consistent_sets, largest_clique, oriented
-from revisit.core.pose_graph.g2o import read_g2o, write_g2o
+from revisit.core.pose_graph.g2o import write_g2o
 from revisit.core.pose_graph.least_squares import INLIER, cauchy, graduated, huber, minimise, settled
 from revisit.core.pose_graph.normal_equations import Edges
 from revisit.core.pose_graph.support import STRETCH, LoopsWithin

@@ -7,14 +7,15 @@ import dataclasses
 import numpy as np
 import pytest
 
+from lab.worlds.recorded_ways import kitti_path, streets_under
 from revisit.core.geometry import se3
 from revisit.evaluation.simulator import OS1_64, SENSORS, VLP16, Path, TownPlan, Trajectory, build_city, drive, simulate
 from revisit.evaluation.simulator.blocks import Material, block
 from revisit.evaluation.simulator.city import World
-from revisit.evaluation.simulator.paths import StreetGrid, streets_under
+from revisit.evaluation.simulator.paths import StreetGrid
 from revisit.evaluation.simulator.sensors import LidarModel
 from revisit.evaluation.simulator.traffic import ParkedCars, ParkingSlots, Traffic
-from revisit.evaluation.simulator.trajectories import grid_drive, kitti_path
+from revisit.evaluation.simulator.trajectories import grid_drive
 
 STREET = Path.through([[0.0, 0.0], [80.0, 0.0]])
 EXACT = LidarModel("exact", (-45.0, -30.0, 0.0), 4, 0.5, 100.0, 0.0, 1e6, 0.0)

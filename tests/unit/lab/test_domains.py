@@ -15,6 +15,7 @@ from lab.domains.catalogue import DOMAINS, Domain, Pass, Setting, SomeScans
 from lab.domains.evaluation import evaluate_domain
 from lab.domains.report import write_domains
 from lab.realism import scan_statistics
+from lab.recognition.remembered_verdicts import RememberedVerdicts
 from lab.worlds.drives import DrivenWorld, Leg, Ride, backwards, winding_way
 from lab.worlds.open_world import OpenWorld
 from lab.worlds.relief import NearestHeights, Waves
@@ -24,7 +25,7 @@ from revisit.core.errors import EmptyCloud
 from revisit.core.geometry import se3
 from revisit.core.submap import Submap
 from revisit.evaluation import real_data
-from revisit.evaluation.loop_closure_method import Description, RememberedVerdicts, Verdict
+from revisit.evaluation.loop_closure_method import Description, Verdict
 from revisit.evaluation.metrics import LoopProtocol
 from revisit.evaluation.simulator import HDL32, VLP16, Path
 from revisit.evaluation.simulator.blocks import Material, block

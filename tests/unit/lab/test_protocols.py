@@ -21,6 +21,7 @@ from lab.recognition.experiment import Experiment, MethodResult, classified, sco
 from lab.recognition.failures import Failure, worst_failures
 from lab.recognition.report import write_report
 from lab.training.corpus import TRAINING_SEED
+from lab.worlds.changes import Changes, changed
 from lab.worlds.towns import DRIVES, SESSIONS, TEST_SEEDS, SimulatedDrive
 from revisit.core.config import SubmapConfig
 from revisit.core.geometry import se3
@@ -30,7 +31,7 @@ from revisit.evaluation.datasets import write_kitti
 from revisit.evaluation.ground_truth import GroundTruth
 from revisit.evaluation.loop_closure_method import Description, RevisitMethod, Verdict
 from revisit.evaluation.metrics import LoopProtocol, Outcomes
-from revisit.evaluation.simulator import VLP16, Changes, build_city, changed
+from revisit.evaluation.simulator import VLP16, build_city
 from revisit.evaluation.simulator import Path as Way
 from revisit.evaluation.simulator.blocks import Material
 
