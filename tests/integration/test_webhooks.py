@@ -48,7 +48,7 @@ class Receiver:
 
 
 def now_of(headers):
-    return float({name.lower(): value for name, value in headers.items()}["revisit-timestamp"])
+    return float({name.lower(): value for name, value in headers.items()}["webhook-timestamp"])
 
 
 @contextmanager

@@ -8,7 +8,7 @@ the receiver tells those that it has had by their numbers.
 from __future__ import annotations
 
 import asyncio
-import hashlib
+import base64
 import hmac
 import random
 import time
@@ -26,6 +26,7 @@ from revisit.service.application.contract.storage import Storage
 from revisit.service.application.contract.transactions import UnitOfWork
 from revisit.service.application.contract.webhooks import Answered, DeliveryRecord, WebhookRecord, WebhookSender
 from revisit.service.application.push.events import EventView, events_of
+from revisit.service.application.push.webhooks import key_of
 
 BATCH = 50
 """Events of one request at most."""
@@ -123,19 +124,24 @@ def _has_place(of_tenant: int, in_all: int) -> bool:
     return in_all < (AT_ONCE - KEPT_FREE if of_tenant else AT_ONCE) and of_tenant < OF_TENANT
 
 
-def signature_of(secret: str, timestamp: str, body: bytes) -> str:
-    """HMAC-SHA256 (hex) over the time, a dot and the body: an old request cannot be sent again as a new one."""
-    return hmac.new(secret.encode(), timestamp.encode() + b"." + body, hashlib.sha256).hexdigest()
+def signature_of(secret: str, request_id: str, timestamp: str, body: bytes) -> str:
+    """The signature of Standard Webhooks: HMAC-SHA256 over id, time and body, so that none of them can be changed.
+
+    Source: github.com/standard-webhooks/standard-webhooks, spec/standard-webhooks.md.
+    """
+    signed = f"{request_id}.{timestamp}.".encode() + body
+    return "v1," + base64.b64encode(hmac.digest(key_of(secret), signed, "sha256")).decode()
 
 
 def headers_of(webhook: WebhookRecord, batch: Batch, body: bytes, at_ns: int) -> dict[str, str]:
-    """What goes with a request: its name, the time in seconds since 1970, and the signature of both time and body."""
+    """The headers of a request: its id, the time in seconds since 1970, and the signature."""
+    request_id = f"{webhook.webhook_id}-{batch.events[0].number}-{batch.events[-1].number}"
     timestamp = str(at_ns // 1_000_000_000)
     return {
         "content-type": "application/json",
-        "revisit-delivery": f"{webhook.webhook_id}-{batch.events[0].number}-{batch.events[-1].number}",
-        "revisit-timestamp": timestamp,
-        "revisit-signature": f"v1={signature_of(webhook.secret, timestamp, body)}",
+        "webhook-id": request_id,
+        "webhook-timestamp": timestamp,
+        "webhook-signature": signature_of(webhook.secret, request_id, timestamp, body),
     }
 
 

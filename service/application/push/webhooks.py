@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import secrets
 from dataclasses import dataclass, replace
 from functools import partial
@@ -19,10 +20,21 @@ from revisit.service.application.contract.transactions import UnitOfWork
 from revisit.service.application.contract.webhooks import DeliveryRecord, WebhookRecord
 from revisit.service.application.push.addresses import validated_url
 
-SECRET_PREFIX = "whsec_"  # how a secret begins, so that scanners of repositories know it
+SECRET_PREFIX = "whsec_"
+"""The beginning of a secret by Standard Webhooks, which scanners of repositories know."""
 
 TOLD_OF = (EventKind.LOOP_CLOSURE, EventKind.OPERATION, EventKind.MAP_VERSION)
 """The kinds that a webhook may be kept to; FORGOTTEN comes in any case."""
+
+
+def new_secret() -> str:
+    """A key of 256 random bits in base64, behind its prefix."""
+    return SECRET_PREFIX + base64.b64encode(secrets.token_bytes(32)).decode()
+
+
+def key_of(secret: str) -> bytes:
+    """The key of a secret."""
+    return base64.b64decode(secret.removeprefix(SECRET_PREFIX) + "==")
 
 
 @dataclass(frozen=True)
@@ -89,7 +101,7 @@ class Webhooks:
             url=url,
             map_id=command.map_id,
             kinds=kinds,
-            secret=SECRET_PREFIX + secrets.token_urlsafe(32),
+            secret=new_secret(),
             state=WebhookState.ENABLED.value,
             told=0,
             failures=0,

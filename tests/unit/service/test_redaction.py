@@ -40,7 +40,7 @@ def test_the_example_is_a_key():
     ("text", "expected"),
     [
         (f"key {KEY}!", "key rv_abcdefabcdef_[secret]!"),
-        ("signed with whsec_" + "aB3-_" * 8 + "x.", "signed with whsec_[secret]."),
+        ("signed with whsec_" + "aB3+/" * 8 + "x=.", "signed with whsec_[secret]."),
         (f"Authorization: Bearer {TOKEN}", "Authorization: Bearer [secret]"),
         ("authorization: bearer something else", "authorization: bearer [secret] else"),
         (f"token={TOKEN}&x=1", "token=[secret]&x=1"),
