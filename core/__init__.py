@@ -19,10 +19,9 @@ The modules in the order of the paper:
     merge                   one map out of several, changes, tiles                 beyond the paper
     pipeline                describe a submap, verify a pair: the stages in order
 
-Beside them: geometry (transforms, frames, voxel keys, the vertical of a cloud), kernels (compiled inner loops), device
-(where they run), codec (stored bytes), config (all parameters), profiles (the paper's form), model_bundle (decoder and
-codebooks), sanity (plausibility of the input), pair_verdict (types of verdicts), stages (their names and
-times), errors.
+Beside them: geometry (transforms, frames, voxel keys, the vertical of a cloud), kernels (compiled inner loops), codec
+(stored bytes), config (all parameters), profiles (the paper's form), model_bundle (decoder and codebooks), sanity
+(plausibility of the input), pair_verdict (types of verdicts), stages (their names and times), errors.
 
 Nothing here knows a network, a database, a clock or a file.
 """

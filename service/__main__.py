@@ -60,7 +60,6 @@ def main(arguments: list[str] | None = None) -> int:
 
 def _started(options: argparse.Namespace, settings: Settings) -> int:
     """Run the command; what it cannot run on is refused in a line."""
-    from revisit.core.device import MissingDevice
     from revisit.service.adapters.files.filesystem import RemoteFileSystem
     from revisit.service.adapters.sqlite.migration import ForeignSchema
 
@@ -70,16 +69,13 @@ def _started(options: argparse.Namespace, settings: Settings) -> int:
         return _refuse(f"the database {settings.database} does not fit this version: {error}")
     except RemoteFileSystem as error:
         return _refuse(str(error))
-    except MissingDevice as error:
-        return _refuse(f"REVISIT_DEVICE: {error}")
 
 
 def _run(options: argparse.Namespace, settings: Settings) -> int:
     """Run the command that was asked for; the exit status.
 
-    Raises ForeignSchema for a database of another version, MissingDevice for a device that is not there.
+    Raises ForeignSchema for a database of another version.
     """
-    from revisit.core.device import require_device
     from revisit.service.adapters.sqlite.connections import unreadable
     from revisit.service.adapters.sqlite.migration import current_revision, migrate
 
@@ -92,8 +88,6 @@ def _run(options: argparse.Namespace, settings: Settings) -> int:
     if options.command == "migrate":
         migrate(settings.database, options.revision)
         return 0
-    if options.command in ("serve", "worker"):
-        require_device(settings.device)
     if options.command == "serve":
         return _serve(settings)
     if current_revision(settings.database) is None:

@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING, cast
 
 import structlog
 
-from revisit.core.device import open_device, use
 from revisit.service import VERSION
 from revisit.service.access_rules import access_rules
 from revisit.service.adapters.clock import SystemClock
@@ -216,9 +215,8 @@ def run_worker(settings: Settings, worker_id: str | None, parent_pid: int | None
     confine(settings.worker_memory_mb * 2**20)
     share_one_heap()
     return_large_blocks(SPARE_BYTES)
-    log.info("worker_loading", device=settings.device)
+    log.info("worker_loading")
     with told_while_loading(log.info):
-        use(open_device(settings.device))
         recogniser = load_recogniser(settings.recogniser)
     begin_anew_if_compiled()
     stopping = threading.Event()
@@ -227,7 +225,7 @@ def run_worker(settings: Settings, worker_id: str | None, parent_pid: int | None
     installation = build_installation(settings, gateway=False, fail_stop=FailStop(lambda: os._exit(STORAGE_FAILED)))
     identity = WorkerIdentity(worker_id or f"worker-{secrets.token_hex(4)}", recogniser.model_version, parent_pid)
     structlog.contextvars.bind_contextvars(worker=identity.worker_id)
-    log.info("worker_ready", model_version=identity.model_version, device=settings.device)
+    log.info("worker_ready", model_version=identity.model_version)
     limits = WorkerLimits(settings.jobs_per_worker, settings.worker_memory_mb * 2**20 * 3 // 4, settings.job_timeout_s)
     tracer = build_tracer(settings, "worker")
     worker = Worker(

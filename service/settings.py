@@ -24,7 +24,7 @@ GROUPS: Mapping[str, tuple[str, ...]] = {
         "jwt_tenant_claim", "jwt_max_lifetime_s", "webhook_private_networks",
     ),
     "Resources and limits": (
-        "home", "workers", "device", "worker_memory_mb", "job_timeout_s", "max_queued_jobs", "tenant_storage_mb",
+        "home", "workers", "worker_memory_mb", "job_timeout_s", "max_queued_jobs", "tenant_storage_mb",
         "client_points_per_s", "tenant_points_per_s", "streams_per_client", "reserve_mb",
     ),
     "Maps and loops": (
@@ -39,6 +39,7 @@ FOR_TESTS = ("recogniser", "lease_s", "max_attempts", "jobs_per_worker", "drain_
 """Settings that tests turn, to have in a second what takes an hour, and nobody else."""
 
 GONE: Mapping[str, str] = {
+    "device": "workers compute on the processor, by compiled code",
     "points_per_s": f"a service takes {CapacityLimits.points_per_s / 1e6:g} million points a second",
     "clouds_at_once": "four clouds are in flight for each core, and at least 8",
     "max_streams": f"a service has {CapacityLimits.streams} streams",
@@ -72,12 +73,6 @@ class Settings(AccessSettings):
     recogniser: str = Field(
         default="revisit.service.adapters.core_recogniser:load_recogniser",
         description="the function that loads the method of a worker, as module:function",
-    )
-    device: str = Field(
-        default="cpu",
-        description="where workers do a part of describing: `cpu`, by compiled code; `cuda` or `cuda:N`, a GPU by "
-        "torch; `torch-cpu` does on the processor what a GPU would do, slowly. One that is not there ends the start "
-        "with status 78",
     )
     lease_s: float = Field(default=10.0, gt=0, description="a job is given to another worker after this silence")
     max_attempts: int = Field(default=3, ge=1, description="runs of a job before it fails")

@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 
 from revisit.core.bev.log_gabor import OrientationMap
 from revisit.core.config import BevConfig, KeypointSource
-from revisit.core.device import device
-from revisit.core.device.description import Patches
+from revisit.core.kernels.patch_histograms import disc_histograms, patch_histograms
 
 Array = NDArray[np.float32]
 Pixels = NDArray[np.int64]
@@ -53,7 +52,7 @@ def context_histograms(orientation_map: OrientationMap, pixels: Pixels, config: 
     """
     orientation = np.arange(orientation_map.orientations)[:, None, None]
     layers = np.where(orientation_map.index == orientation, orientation_map.amplitude, np.float32(0.0))
-    return device().description.views.discs(layers, pixels, _fading_disc(config.context_px // 2))
+    return np.asarray(disc_histograms(layers, pixels, _fading_disc(config.context_px // 2)))
 
 
 @lru_cache(maxsize=4)
@@ -83,8 +82,8 @@ def describe_patches(orientation_map: OrientationMap, pixels: Pixels, angles: Ar
     """
     weights = orientation_map.amplitude**config.amplitude_power
     weights[orientation_map.amplitude < 0.02 * orientation_map.amplitude.max(initial=0.0)] = 0.0
-    form = Patches(config.patch_px, config.patch_step, config.cells, orientation_map.orientations)
-    histograms = device().description.views.patches(orientation_map.index, weights, pixels, angles, form)
+    form = config.patch_px, config.patch_step, config.cells, orientation_map.orientations
+    histograms = patch_histograms(orientation_map.index, weights, pixels, angles, *form)
     total = np.maximum(histograms.sum(axis=1, keepdims=True), 1e-12)
     return np.asarray(np.sqrt(histograms / total), dtype=np.float32)
 

@@ -5,12 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import lru_cache
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
 
 from revisit.core.config import BevConfig
-from revisit.core.device import device
+from revisit.core.kernels.filter_layers import add_amplitudes, multiply_spectrum, strongest_layer
 
 Array = NDArray[np.float32]
 
@@ -57,4 +58,19 @@ def maximum_index_map(image: Array, config: BevConfig) -> OrientationMap:
     bank = filter_bank(
         size, config.scales, config.orientations, config.wavelength, config.scale_factor, config.bandwidth
     )
-    return OrientationMap(*device().description.views.strongest_orientations(image, bank), config.orientations)
+    return OrientationMap(*strongest_orientations(image, bank), config.orientations)
+
+
+def strongest_orientations(image: Array, bank: Array) -> tuple[NDArray[np.int8], Array]:
+    """Which orientation of the filters `bank` (o, s, k, k) answers strongest in the `image` (h, w), and how."""
+    (height, width), (orientations, scales, size, _) = image.shape, bank.shape
+    spectrum = fft.fft2(image, s=(size, size)) / np.float32(size * size)  # the transforms back do not divide
+    amplitude = np.zeros((orientations, height, width), dtype=np.float32)
+    response = np.empty((1, size, size), dtype=np.complex64)
+    parts = response.view(np.float32).reshape(size, size, 2)
+    for filters, layer in zip(bank, amplitude, strict=True):
+        for scale in range(scales):  # one at a time stays in the cache
+            multiply_spectrum(filters[scale : scale + 1], spectrum, response)
+            cv2.dft(parts, parts, flags=cv2.DFT_INVERSE | cv2.DFT_COMPLEX_OUTPUT)
+            add_amplitudes(response, layer)
+    return strongest_layer(amplitude)

@@ -7,7 +7,8 @@ from numpy.typing import NDArray
 
 from revisit.core.clusters import Clusters
 from revisit.core.config import BevConfig, Normalisation
-from revisit.core.device import device
+from revisit.core.kernels.nearest_points import any_within
+from revisit.core.kernels.point_columns import columns_of
 from revisit.core.surface import Surface
 
 Array = NDArray[np.float32]
@@ -64,5 +65,5 @@ def _voxels_near(surface: Surface, vertices: Flags, voxels: Flags, distance: flo
     near = np.zeros(len(surface.occupied), dtype=bool)
     if vertices.any() and voxels.any():
         centres = (surface.occupied[voxels] + np.float32(0.5)) * np.float32(surface.resolution)
-        near[voxels] = device().description.surfaces.any_within(centres, surface.vertices[vertices], distance)  # Eq. 7
+        near[voxels] = any_within(centres, columns_of(surface.vertices[vertices], distance), distance)  # Eq. 7
     return near

@@ -8,13 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from revisit.core.config import Field, Fitting, ImplicitMapConfig
-from revisit.core.device import device
 from revisit.core.implicit_map.decoder import DecoderWeights
 from revisit.core.implicit_map.neighbourhood import find_neighbourhood
 from revisit.core.implicit_map.neural_map import NeuralMap
 from revisit.core.implicit_map.neural_points import NeuralPoints, oriented
 from revisit.core.implicit_map.settled import settle
-from revisit.core.implicit_map.visibility import count_seen_through, returns_of
+from revisit.core.implicit_map.visibility import by_scan, count_seen_through
+from revisit.core.kernels.gathered_returns import GatheredReturns
 from revisit.core.kernels.point_columns import columns_of
 from revisit.core.stages import stage
 from revisit.core.submap import Submap
@@ -64,8 +64,11 @@ def accumulate(submap: Submap, config: ImplicitMapConfig) -> NeuralPoints:
 
 def gather(submap: Submap, config: ImplicitMapConfig) -> NDArray[np.float64]:
     """The returns of all scans, gathered in time order: at most GATHERED_SHARE times the points of a map."""
-    returns = returns_of(submap.points, submap.scan_index, submap.origins)
-    return device().description.maps.gather(returns, config.resolution, GATHERED_SHARE * config.max_points)
+    gathered = GatheredReturns(config.resolution, len(submap.points), GATHERED_SHARE * config.max_points)
+    scans = by_scan(submap.points, submap.scan_index, len(submap.origins))
+    for number, (seen, origin) in enumerate(zip(scans, submap.origins, strict=True)):
+        gathered.insert(seen, origin, number)
+    return gathered.records
 
 
 def without_dynamic_points(points: NeuralPoints, submap: Submap, config: ImplicitMapConfig) -> NeuralPoints:

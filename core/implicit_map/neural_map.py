@@ -12,8 +12,6 @@ from numpy.typing import ArrayLike, NDArray
 from revisit.core.codec import neural_map as codec
 from revisit.core.codec.neural_points import Form, read_points, write_points
 from revisit.core.config import Field, ImplicitMapConfig
-from revisit.core.device import device
-from revisit.core.device.description import FieldRules, Planes
 from revisit.core.errors import BadField, BadTransform, DataLoss, DescriptorModelMismatch
 from revisit.core.geometry.level_frame import LevelFrame
 from revisit.core.implicit_map.decoder import DecoderWeights, decode
@@ -27,7 +25,10 @@ from revisit.core.implicit_map.settled import (
     hits_of,
     plane_codes,
 )
-from revisit.core.kernels.point_columns import PointColumns
+from revisit.core.kernels.nearest_points import nearest_points
+from revisit.core.kernels.neighbour_blend import blend_normals
+from revisit.core.kernels.plane_distance import plane_distance
+from revisit.core.kernels.point_columns import PointColumns, columns_of
 
 Array = NDArray[np.float32]
 
@@ -98,15 +99,7 @@ class NeuralMap:
     @cached_property
     def columns(self) -> PointColumns:
         """The neural points by the column of voxels that they lie in."""
-        return self._planes.columns
-
-    @cached_property
-    def _planes(self) -> Planes:
-        return Planes(self.points.positions, self.points.normals, self.config.resolution)
-
-    @property
-    def _rules(self) -> FieldRules:
-        return FieldRules(self.config.neighbours, self.config.search_rings, self.config.weight_power)
+        return columns_of(self.points.positions, self.config.resolution)
 
     def neighbourhood(self, queries: Array) -> Neighbourhood:
         """The K nearest neural points of `queries` (m, 3) with their weights (paper Eq. 2-4)."""
@@ -141,8 +134,16 @@ class NeuralMap:
 
     def _plane_distance(self, queries: Array) -> tuple[Array, Array]:
         """Blended distances (m,) to the tangent planes, and distances (m,) to the nearest neural point."""
-        cloud = np.ascontiguousarray(queries, dtype=np.float32)
-        return device().description.surfaces.distances(cloud, self._planes, self._rules)
+        cloud, points = np.ascontiguousarray(queries, dtype=np.float32), self.points
+        indices, squared = self._nearest(cloud)
+        power = self.config.weight_power
+        distance = plane_distance(cloud, points.positions, points.normals, indices, squared, power)
+        return distance, np.sqrt(squared[:, 0])
+
+    def _nearest(self, cloud: Array) -> tuple[NDArray[np.int32], Array]:
+        """Rows (m, k) of the neural points nearest to `cloud` (m, 3), and their squared distances (m, k)."""
+        rules = self.config
+        return nearest_points(cloud, self.columns, rules.resolution, rules.neighbours, rules.search_rings)
 
     def normals(self, queries: Array) -> Array:
         """Unit normals (m, 3) towards free space at `queries` (m, 3) near the surface.
@@ -151,7 +152,7 @@ class NeuralMap:
         correction of the decoder. Zero where no neural point is near.
         """
         cloud = np.ascontiguousarray(queries, dtype=np.float32)
-        return device().description.surfaces.blended_normals(cloud, self._planes, self._rules)
+        return np.asarray(blend_normals(*self._nearest(cloud), self.points.normals, self.config.weight_power))
 
 
 def _read(data: bytes, decoder: DecoderWeights, config: ImplicitMapConfig) -> NeuralMap:

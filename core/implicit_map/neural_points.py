@@ -12,9 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from revisit.core.device import device
-from revisit.core.device.description import Planes
-from revisit.core.kernels.elastic_points import FIRST_SCAN
+from revisit.core.kernels.elastic_points import FIRST_SCAN, VIEW, pooled_covariances
+from revisit.core.kernels.oriented_normals import oriented_normals
+from revisit.core.kernels.point_columns import columns_of
 
 Array = NDArray[np.float32]
 
@@ -62,12 +62,13 @@ def oriented(gathered: NDArray[np.float64], resolution: float, most: int = MAX_N
     evicted: docs/decisions/0063). Of more than `most` those nearest to the middle.
     """
     positions, records = (gathered[:, 1:4] / gathered[:, :1]).astype(np.float32), gathered
-    everywhere = Planes(positions, np.zeros_like(positions), resolution)
+    everywhere = columns_of(positions, resolution)
     if len(positions) > most:
         rows = nearest_to_middle(positions, most)
         positions, records = positions[rows], records[rows]
     scans = records[:, FIRST_SCAN:].astype(np.int32)
-    normals = device().description.maps.orient(positions, records, everywhere, gathered)
+    spreads = pooled_covariances(positions, gathered, everywhere, resolution)
+    normals = oriented_normals(spreads, records[:, VIEW])
     return NeuralPoints(
         positions=positions, normals=normals, created=scans[:, 0].copy(), updated=scans[:, 1].copy(),
         hits=scans[:, 2].copy(), stability=scans[:, 2].astype(np.float32),

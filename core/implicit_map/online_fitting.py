@@ -10,7 +10,7 @@ from revisit.core.implicit_map.decoder import DecoderWeights
 from revisit.core.implicit_map.gradient_steps import learn_features
 from revisit.core.implicit_map.neural_points import NeuralPoints, oriented
 from revisit.core.implicit_map.settled import settled_rows
-from revisit.core.implicit_map.visibility import returns_of
+from revisit.core.implicit_map.visibility import by_scan
 from revisit.core.kernels.gathered_returns import GatheredReturns
 from revisit.core.kernels.voxel_table import rows_of, table_of, voxels_of
 from revisit.core.submap import Submap
@@ -28,12 +28,11 @@ def learn_online(
     along the rays of this scan alone; and the steps change the features of the neural points that are neighbours of a
     sample, and the decoder where it is updated. A point that the scans do not see again keeps its features.
     """
-    returns = returns_of(submap.points, submap.scan_index, submap.origins)
     grown = GatheredReturns(config.resolution, len(submap.points), most)
     features = np.zeros((0, decoder.feature_size), np.float32)
     standing, found = points, np.zeros(0, np.int64)
-    for scan, origin in enumerate(submap.origins):
-        cloud = returns.points[returns.bounds[scan] : returns.bounds[scan + 1]]
+    clouds = by_scan(submap.points, submap.scan_index, len(submap.origins))
+    for scan, (cloud, origin) in enumerate(zip(clouds, submap.origins, strict=True)):
         if not len(cloud):
             continue
         grown.insert(cloud, origin, scan)

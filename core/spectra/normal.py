@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from revisit.core.clusters import Clusters
 from revisit.core.config import SpectrumConfig
-from revisit.core.device import device
+from revisit.core.kernels.heading_profiles import face_profiles
 from revisit.core.spectra.profile import bin_count, nearness, profile_spectrum
 from revisit.core.surface import Surface
 
@@ -27,6 +27,7 @@ def normal_spectrum(surface: Surface, clusters: Clusters, config: SpectrumConfig
     normals = surface.normals.take(chosen, axis=0)[:, :2].astype(np.float64)
     weight = np.einsum("ij,ij->i", normals, normals) * nearness(vertices, config)
     heading = np.arctan2(normals[:, 1], normals[:, 0])
-    shape = config.headings, bin_count(config)
-    profiles = device().description.views.faces(vertices, heading, weight, shape, config.spacing, config.sharpness)
+    profiles = face_profiles(
+        vertices, heading, weight, config.headings, bin_count(config), config.spacing, config.sharpness
+    )
     return profile_spectrum(profiles, config)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from revisit.core.clusters import Clusters
 from revisit.core.config import SpectrumConfig
-from revisit.core.device import device
+from revisit.core.kernels.heading_profiles import plan_profiles
 from revisit.core.spectra.profile import bin_count, nearness, profile_spectrum
 from revisit.core.surface import Surface
 
@@ -22,6 +22,5 @@ def plan_spectrum(surface: Surface, clusters: Clusters, config: SpectrumConfig) 
     """The spectrum (`spectrum_size(config)`,) of the plan; zeros where there is no cluster within reach."""
     chosen = np.flatnonzero(clusters.labels >= 0)
     places = surface.vertices.take(chosen, axis=0)[:, :2].astype(np.float64)
-    shape = config.headings, bin_count(config)
-    profiles = device().description.views.plans(places, nearness(places, config), shape, config.spacing)
+    profiles = plan_profiles(places, nearness(places, config), config.headings, bin_count(config), config.spacing)
     return profile_spectrum(profiles, config)

@@ -8,12 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from revisit.core.config import ImplicitMapConfig, SurfaceConfig
-from revisit.core.device import device
-from revisit.core.device.description import Cases
 from revisit.core.geometry.voxel_keys import voxel_keys
 from revisit.core.implicit_map import NeuralMap
 from revisit.core.implicit_map.fitting import accumulate
 from revisit.core.kernels.cluster_joins import connected_parts
+from revisit.core.kernels.marching_cubes import polygonise
 from revisit.core.stages import stage
 from revisit.core.submap import Submap
 from revisit.core.surface.cells import cells_near_planes
@@ -60,8 +59,8 @@ def extract_surface(neural_map: NeuralMap, config: SurfaceConfig) -> Surface:
     values, nearest = neural_map.sdf(corner_positions)
     values[np.abs(values) < _ON_CORNER_M] = 0.0
     values[nearest > config.observed_distance] = np.nan
-    vertices, faces, crossing = device().description.surfaces.polygonise(
-        near.cell_corners, corner_positions, values, Cases(case_table(), edge_table()), resolution
+    vertices, faces, crossing = polygonise(
+        near.cell_corners, corner_positions, values, case_table(), edge_table(), resolution
     )
     vertices, faces = _without_small_components(vertices, faces, config.min_component)
     occupied = near.cells[crossing]

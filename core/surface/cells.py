@@ -7,8 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from revisit.core.device import device
-from revisit.core.device.description import Planes
+from revisit.core.kernels.surface_cells import enter_observed_corners, find_cells, list_corners, pieces_around
 
 Array = NDArray[np.float32]
 Voxels = NDArray[np.int32]
@@ -29,5 +28,8 @@ def cells_near_planes(positions: Array, normals: Array, resolution: float, obser
     Only those whose corners all lie within `observed` metres of a neural point: elsewhere the field says nothing.
     Memory grows with the number of `positions` (n, 3), not with the volume between them.
     """
-    corners, cell_corners = device().description.surfaces.cells(Planes(positions, normals, resolution), observed)
+    pieces = pieces_around(positions, resolution, observed)
+    count = enter_observed_corners(positions, resolution, observed, pieces)
+    corners, first = list_corners(pieces, count)
+    cell_corners = find_cells(positions, normals, resolution, pieces, first, len(corners))
     return SurfaceCells(corners[cell_corners[:, 0]], cell_corners, corners)

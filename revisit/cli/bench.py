@@ -1,4 +1,4 @@
-"""`revisit bench`: the declared metrics against the baseline, or a device beside the processor."""
+"""`revisit bench`: the declared metrics against the baseline."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import typer
 
 from revisit.cli.extras import needs
 from revisit.cli.options import Json
-from revisit.cli.output import emit_json, emit_table, refuse, say
+from revisit.cli.output import emit_json, emit_table, say
 from revisit.service import ONE_THREAD
 
 if TYPE_CHECKING:
@@ -20,23 +20,12 @@ if TYPE_CHECKING:
 Update = Annotated[bool, typer.Option(help="Write the measured figures as the new baseline.")]
 Check = Annotated[bool, typer.Option(help="End with status 1 where a figure is worse than the baseline by over 15 %.")]
 
-OnDevice = Annotated[
-    str | None,
-    typer.Option(
-        "--device",
-        help="Measure this device beside the processor instead: cuda, cuda:N, or torch-cpu, which only compares.",
-    ),
-]
-
 
 @needs("evaluation")
-def bench(check: Check = False, update: Update = False, json: Json = False, device: OnDevice = None) -> None:
+def bench(check: Check = False, update: Update = False, json: Json = False) -> None:
     """Measure the declared figures and name those that are worse than in the committed baseline."""
     os.environ.update(ONE_THREAD)  # before a library reads it: times are those of one thread
-    if device is not None:
-        _measure_device(device, json)
-    else:
-        _measure(check, update, json)
+    _measure(check, update, json)
 
 
 def _measure(check: bool, update: bool, as_json: bool) -> None:
@@ -49,20 +38,6 @@ def _measure(check: bool, update: bool, as_json: bool) -> None:
         for regression in regressions:
             say(f"worse: {regression}")
     if check and regressions:
-        raise typer.Exit(1)
-
-
-def _measure_device(name: str, as_json: bool) -> None:
-    """Measure a device beside the processor; exit with status 1 where what they find differs, or it is not there."""
-    from revisit.core.device import MissingDevice
-    from revisit.evaluation.benchmark.device import beside_the_processor
-
-    try:
-        measured = beside_the_processor(name)
-    except MissingDevice as missing:
-        raise refuse(f"--device: {missing}") from missing
-    _show(measured, as_json, {})
-    if any(metric.value for metric in measured if metric.key.endswith("_that_differ")):
         raise typer.Exit(1)
 
 

@@ -44,7 +44,6 @@ def doctor(
         *(_library(name) for name in LIBRARIES),
         _library("torch", optional=True),
         _checked("models", _models),
-        _checked("device", _device),
         *_data(home, full),
         _checked("REST", lambda: _answer(Client(http, retry=once))),
         _checked("gRPC", lambda: _answer(Client.grpc(grpc, retry=once))),
@@ -74,14 +73,6 @@ def _checked(check: str, examine: Callable[[], str]) -> Finding:
         return Finding(check, True, examine())
     except (ApiError, RevisitError, OSError, ImportError, ValueError, RuntimeError) as error:
         return Finding(check, False, str(error)[:200])
-
-
-def _device() -> str:
-    """Where workers started like this command would describe."""
-    from revisit.core.device import open_device
-    from revisit.service.settings_here import settings_here
-
-    return open_device(settings_here().device).name
 
 
 def _models() -> str:

@@ -9,12 +9,13 @@ from functools import cache
 import numpy as np
 import pytest
 
+from revisit.core.codec import neural_map as codec
 from revisit.core.config import PipelineConfig
 from revisit.core.descriptor.fusion import without_parts
 from revisit.core.descriptor.vlad import folded_size
 from revisit.core.errors import DataLoss, DegenerateCloud, DescriptorModelMismatch
 from revisit.core.geometry import se3
-from revisit.core.implicit_map import NeuralMap, blob
+from revisit.core.implicit_map import NeuralMap
 from revisit.core.model_bundle import load_packaged_models
 from revisit.core.pipeline import DescribedPlace, DescribedSurface, describe, describe_again, verify
 from revisit.core.scan import Scan
@@ -166,14 +167,14 @@ def test_a_place_described_again_from_its_stored_map_is_the_place_it_was(seen_fr
 
 def test_a_stored_neural_map_whose_frame_is_no_similarity_is_refused(seen_from):
     field = seen_from(1)[0].neural_map
-    header, sections = blob.unpack(field.to_blob())
+    header, sections = codec.unpack(field.to_blob())
     decoder = load_packaged_models().decoder
     stored = NeuralMap.from_blob(field.to_blob(), decoder, field.config).frame
     assert np.array_equal(stored.similarity, field.frame.similarity)
     for numbers in (np.zeros(16), np.diag([1.0, 2.0, 1.0, 1.0]), np.ones(1)):
-        sections[0] = blob.pack_moments(numbers, field.stamps_ns)
+        sections[0] = codec.pack_moments(numbers, field.stamps_ns)
         with pytest.raises(DataLoss, match="level frame"):
-            NeuralMap.from_blob(blob.pack(header, sections), decoder, field.config)
+            NeuralMap.from_blob(codec.pack(header, sections), decoder, field.config)
 
 
 def test_a_room_described_at_its_scale_is_aligned_in_metres(seen_from):

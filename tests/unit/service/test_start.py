@@ -159,15 +159,6 @@ def test_a_setting_that_cannot_be_used_is_named_as_its_variable(monkeypatch, cap
     assert capsys.readouterr().err.startswith("REVISIT_HTTP_PORT: ")
 
 
-@pytest.mark.parametrize("command", ["serve", "worker"])
-@pytest.mark.parametrize("device", ["cuda:99", "gpu"])
-def test_a_device_that_is_not_there_ends_the_start(monkeypatch, capsys, command, device):
-    main(["migrate"])
-    monkeypatch.setenv("REVISIT_DEVICE", device)
-    assert main([command]) == 78
-    assert capsys.readouterr().err.startswith(f"REVISIT_DEVICE: device {device}")
-
-
 def test_a_port_in_use_is_named_with_the_setting_that_changes_it(monkeypatch, capsys):
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]

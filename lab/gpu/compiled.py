@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy import fft
 
-from revisit.core.device.description import (
+from lab.gpu.kernels import (
     Array,
     Array64,
     Cases,
@@ -19,8 +17,8 @@ from revisit.core.device.description import (
     Planes,
     Returns,
 )
+from revisit.core.bev.log_gabor import strongest_orientations
 from revisit.core.kernels.elastic_points import VIEW, pooled_covariances
-from revisit.core.kernels.filter_layers import add_amplitudes, multiply_spectrum, strongest_layer
 from revisit.core.kernels.gathered_returns import GatheredReturns
 from revisit.core.kernels.heading_profiles import face_profiles, plan_profiles
 from revisit.core.kernels.marching_cubes import polygonise
@@ -30,8 +28,8 @@ from revisit.core.kernels.oriented_normals import oriented_normals
 from revisit.core.kernels.patch_histograms import disc_histograms, patch_histograms
 from revisit.core.kernels.plane_distance import plane_distance
 from revisit.core.kernels.point_columns import columns_of
-from revisit.core.kernels.surface_cells import enter_observed_corners, find_cells, list_corners, pieces_around
 from revisit.core.kernels.visibility import mark_seen_through, range_image
+from revisit.core.surface.cells import cells_near_planes
 
 
 def compiled_description() -> DescriptionKernels:
@@ -67,12 +65,9 @@ class CompiledSurfaces:
     """`SurfaceKernels` by the functions of `core.kernels`."""
 
     def cells(self, planes: Planes, observed: float) -> Cells:
-        """See `SurfaceKernels`. Memory grows with the number of planes, not with the volume between them."""
-        positions, resolution = planes.positions, planes.resolution
-        pieces = pieces_around(positions, resolution, observed)
-        count = enter_observed_corners(positions, resolution, observed, pieces)
-        corners, first = list_corners(pieces, count)
-        return Cells(corners, find_cells(positions, planes.normals, resolution, pieces, first, len(corners)))
+        """See `SurfaceKernels`."""
+        near = cells_near_planes(planes.positions, planes.normals, planes.resolution, observed)
+        return Cells(near.corners, near.cell_corners)
 
     def distances(self, queries: Array, planes: Planes, rules: FieldRules) -> tuple[Array, Array]:
         """See `SurfaceKernels`."""
@@ -101,17 +96,7 @@ class CompiledViews:
 
     def strongest_orientations(self, image: Array, bank: Array) -> tuple[NDArray[np.int8], Array]:
         """See `ViewKernels`."""
-        (height, width), (orientations, scales, size, _) = image.shape, bank.shape
-        spectrum = fft.fft2(image, s=(size, size)) / np.float32(size * size)  # the transforms back do not divide
-        amplitude = np.zeros((orientations, height, width), dtype=np.float32)
-        response = np.empty((1, size, size), dtype=np.complex64)
-        parts = response.view(np.float32).reshape(size, size, 2)
-        for filters, layer in zip(bank, amplitude, strict=True):
-            for scale in range(scales):  # one at a time stays in the cache
-                multiply_spectrum(filters[scale : scale + 1], spectrum, response)
-                cv2.dft(parts, parts, flags=cv2.DFT_INVERSE | cv2.DFT_COMPLEX_OUTPUT)
-                add_amplitudes(response, layer)
-        return strongest_layer(amplitude)
+        return strongest_orientations(image, bank)
 
     def discs(self, layers: Array, pixels: NDArray[np.int64], disc: Array) -> Array:
         """See `ViewKernels`."""

@@ -10,8 +10,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from revisit.core.device.torch_arrays import moved_there
-from revisit.core.device.torch_order import VoxelKeys, ranges, root, voxels_of
+from lab.gpu.arrays import moved_there
+from lab.gpu.order import VoxelKeys, ranges, root, voxels_of
 from revisit.core.kernels.neighbour_blend import NEAREST_M
 
 _NOTHING = 0x7F800000 << 32  # infinitely far

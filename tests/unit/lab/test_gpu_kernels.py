@@ -1,4 +1,4 @@
-"""Description on a device: torch makes of simulated scans what the compiled kernels make of them."""
+"""Kernels of description by torch give what the compiled ones give; what is no device is named."""
 
 from __future__ import annotations
 
@@ -9,57 +9,28 @@ from importlib import import_module
 import numpy as np
 import pytest
 
-from revisit.core.config import PipelineConfig, SubmapConfig
-from revisit.core.device import CPU, TORCH_ON_CPU, Device, open_device, using
-from revisit.core.device.compiled_description import compiled_description
-from revisit.core.device.description import Cases, DescriptionKernels, FieldRules, Patches, Planes, Returns
+from lab.gpu.compiled import compiled_description
+from lab.gpu.kernels import Cases, DescriptionKernels, FieldRules, Patches, Planes, Returns
+from lab.gpu.on_torch import find_torch_device, torch_description
+from revisit.core.config import PipelineConfig
 from revisit.core.kernels.elastic_points import SCANS
-from revisit.core.model_bundle import load_packaged_models
-from revisit.core.pipeline import DescribedPlace, describe, verify
-from revisit.core.scan import Scan
-from revisit.core.submap import Submap
 from revisit.core.surface.marching_cubes import case_table, edge_table
-from revisit.core.verification import RejectedLoop, VerifiedLoop
-from revisit.evaluation.simulator import OS1_64, VLP16, LidarModel, Path, build_city, drive, simulate
+from revisit.evaluation.simulator import OS1_64, VLP16
 
 torch = pytest.importorskip("torch", reason="devices but the processor need torch")
 
 CONFIG = PipelineConfig()
 FEW_BEAMS, MANY_BEAMS = replace(VLP16, columns=300), replace(OS1_64, columns=128)
-DEVICES = [TORCH_ON_CPU, *(["cuda"] if torch.cuda.is_available() else [])]
+DEVICES = ["cpu", *(["cuda"] if torch.cuda.is_available() else [])]
 RULES = FieldRules(neighbours=6, rings=2, power=2.0)
 EDGE = 0.4
 COMPILED = compiled_description()
 
 
-@lru_cache(maxsize=1)
-def visits() -> list[Submap]:
-    """A place in a simulated street and another one, by few beams; the place driven the other way, by many beams."""
-    there, back = Path.through([[0, 0], [70, 0]]), Path.through([[70, 4], [0, 4]])
-    world = build_city([Path.through([[-40, 2], [110, 2]])], seed=2, drive=there)
-    of_ways = [(there, 4, FEW_BEAMS), (there, 19, FEW_BEAMS), (back, 19, MANY_BEAMS)]
-
-    def submap(way: Path, first: int, sensor: LidarModel) -> Submap:
-        trajectory, span = drive(way, world.ground, spacing_m=2.5), slice(first, first + 5)
-        seen = replace(trajectory, T_world_sensor=trajectory.T_world_sensor[span], stamps_ns=trajectory.stamps_ns[span])
-        scans = simulate(world, seen, sensor, seed=first)
-        checked = [Scan.validated(scan.points, scan.T_world_sensor, scan.stamp_ns) for scan in scans]
-        return Submap.from_scans(checked, SubmapConfig())
-
-    return [submap(*parts) for parts in of_ways]
-
-
-@lru_cache(maxsize=4)
-def described(device: str) -> list[DescribedPlace]:
-    """The visits, described on a device."""
-    with using(open_device(device)):
-        return [describe(submap, load_packaged_models(), CONFIG) for submap in visits()]
-
-
 @pytest.fixture(params=DEVICES)
 def torches(request) -> DescriptionKernels:
     """The kernels of each device of torch that is here."""
-    return open_device(request.param).description
+    return torch_description(find_torch_device(request.param))
 
 
 def returns(seed: int = 1) -> Returns:
@@ -81,52 +52,20 @@ def planes() -> Planes:
     return Planes(positions, COMPILED.maps.orient(positions, gathered, bare, gathered), EDGE)
 
 
-@pytest.mark.parametrize("name", DEVICES)
-def test_a_device_describes_simulated_scans_as_the_processor_does(name):
-    for found, expected in zip(described(name), described(CPU), strict=True):
-        assert float(found.descriptor.vector @ expected.descriptor.vector) >= 0.9999
-        assert len(found.neural_map.points) == len(expected.neural_map.points) > 3_000
-        np.testing.assert_allclose(found.neural_map.points.positions, expected.neural_map.points.positions, atol=1e-3)
-        assert found.flags == expected.flags
-
-
-@pytest.mark.parametrize("name", DEVICES)
-def test_places_described_on_a_device_get_the_verdicts_of_the_processor(name):
-    def verdicts(device: str) -> list[VerifiedLoop | RejectedLoop]:
-        place, *others = (one.place for one in described(device))
-        return [verify(other, place, 0.9, CONFIG.verification) for other in others]
-
-    elsewhere, again = verdicts(CPU)
-    assert isinstance(elsewhere, RejectedLoop) and isinstance(again, VerifiedLoop)
-    found = verdicts(name)
-    assert isinstance(found[0], RejectedLoop) and found[0].reason == elsewhere.reason
-    assert isinstance(found[1], VerifiedLoop)
-    np.testing.assert_allclose(found[1].measurement.T_match_query, again.measurement.T_match_query, atol=0.01)
-
-
-def test_the_same_submap_gives_the_same_bits_each_time():
-    with using(open_device(TORCH_ON_CPU)):
-        again = describe(visits()[0], load_packaged_models(), CONFIG)
-    first = described(TORCH_ON_CPU)[0]
-    assert again.descriptor.vector.tobytes() == first.descriptor.vector.tobytes()
-    assert again.place.to_blob() == first.place.to_blob()
-    assert again.neural_map.to_blob() == first.neural_map.to_blob()
-
-
 @pytest.mark.parametrize(
     ("steps", "columns", "constants"),
     [
-        ("torch_normals._oriented", ((3, 3), (3,)), {}),
-        ("torch_visibility.pixels_of", ((3,),), {}),
-        ("torch_maps._terms", ((3,), (3,)), {"resolution": 0.4}),
-        ("torch_maps._own_spreads", ((3,), (10,)), {}),
-        ("torch_maps._shares", ((3,), (7,)), {"resolution": 0.4}),
-        ("torch_maps._covariances", ((10,),), {}),
+        ("normals._oriented", ((3, 3), (3,)), {}),
+        ("visibility.pixels_of", ((3,),), {}),
+        ("maps._terms", ((3,), (3,)), {"resolution": 0.4}),
+        ("maps._own_spreads", ((3,), (10,)), {}),
+        ("maps._shares", ((3,), (7,)), {"resolution": 0.4}),
+        ("maps._covariances", ((10,),), {}),
     ],
 )
 def test_what_is_recorded_for_more_rows_gives_those_that_there_are(steps, columns, constants):
     module, name = steps.split(".")
-    work = getattr(import_module(f"revisit.core.device.{module}"), name)
+    work = getattr(import_module(f"lab.gpu.{module}"), name)
     rng = np.random.default_rng(3)
     given = [torch.as_tensor(rng.uniform(0.5, 2.0, (9, *shape))) for shape in columns]
     wider = [torch.cat([column, torch.ones_like(column)]) for column in given]
@@ -251,12 +190,7 @@ def test_histograms_and_filters_of_a_plan_are_those_of_the_compiled_kernels(torc
     np.testing.assert_allclose(*(one.views.discs(layers, pixels, disc) for one in (torches, COMPILED)), rtol=1e-4)
 
 
-def test_the_kernels_of_the_device_in_use_are_called():
-    class Refusing:
-        def __getattr__(self, kernel):
-            raise RuntimeError(f"{kernel} was asked for")
-
-    asked = DescriptionKernels(Refusing(), Refusing(), Refusing())
-    submap = visits()[0]
-    with using(Device("refusing", asked)), pytest.raises(RuntimeError, match="gather"):
-        describe(submap, load_packaged_models(), CONFIG)
+@pytest.mark.parametrize("name", ["gpu", "cuda:99", "mps", "meta", ""])
+def test_what_is_no_device_of_torch_here_is_refused(name):
+    with pytest.raises(ValueError, match=r"cpu, cuda, cuda:N|such devices"):
+        find_torch_device(name)

@@ -10,13 +10,13 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from revisit.core.device.compiled_description import CompiledMaps
-from revisit.core.device.description import Array, Array64, Planes, Returns
-from revisit.core.device.torch_arrays import moved_there
-from revisit.core.device.torch_normals import oriented_normals
-from revisit.core.device.torch_order import Groups, VoxelKeys, first_seen, ranges, root, voxels_of
-from revisit.core.device.torch_replay import replayed
-from revisit.core.device.torch_visibility import nearest_around, pixels_of, range_images, seen_through
+from lab.gpu.arrays import moved_there
+from lab.gpu.compiled import CompiledMaps
+from lab.gpu.kernels import Array, Array64, Planes, Returns
+from lab.gpu.normals import oriented_normals
+from lab.gpu.order import Groups, VoxelKeys, first_seen, ranges, root, voxels_of
+from lab.gpu.replay import replayed
+from lab.gpu.visibility import nearest_around, pixels_of, range_images, seen_through
 from revisit.core.kernels.elastic_points import MOMENTS, POOLED_RETURNS, VIEW
 
 _UPPER = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))

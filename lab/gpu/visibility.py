@@ -6,8 +6,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from revisit.core.device.torch_order import root
-from revisit.core.device.torch_replay import replayed
+from lab.gpu.order import root
+from lab.gpu.replay import replayed
 from revisit.core.kernels.arcs import SERIES_32
 from revisit.core.kernels.visibility import COLUMNS, FARTHER, MARGIN_M, PIXELS_PER_RADIAN, ROWS
 

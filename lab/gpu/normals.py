@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from revisit.core.device.torch_replay import replayed
+from lab.gpu.replay import replayed
 from revisit.core.kernels.oriented_normals import NEGLIGIBLE, NORMAL_PRIOR
 
 _SWEEPS = 6

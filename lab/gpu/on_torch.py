@@ -1,13 +1,13 @@
-"""The kernels of description by torch: on a GPU, or on the processor to compare them (docs/decisions/0295)."""
+"""The kernels of description by torch: on a GPU, or on the processor to compare them."""
 
 from __future__ import annotations
 
 import torch
 
-from revisit.core.device.description import DescriptionKernels
-from revisit.core.device.torch_maps import TorchMaps
-from revisit.core.device.torch_surfaces import TorchSurfaces
-from revisit.core.device.torch_views import TorchViews
+from lab.gpu.kernels import DescriptionKernels
+from lab.gpu.maps import TorchMaps
+from lab.gpu.surfaces import TorchSurfaces
+from lab.gpu.views import TorchViews
 
 
 def torch_description(where: torch.device) -> DescriptionKernels:

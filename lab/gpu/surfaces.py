@@ -10,11 +10,11 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from revisit.core.device.compiled_description import CompiledSurfaces
-from revisit.core.device.description import Array, Cases, Cells, FieldRules, Mesh, Planes
-from revisit.core.device.torch_arrays import moved_there
-from revisit.core.device.torch_neighbours import SortedPoints, blended_distances, blended_normals
-from revisit.core.device.torch_order import VoxelKeys, first_seen, voxels_of
+from lab.gpu.arrays import moved_there
+from lab.gpu.compiled import CompiledSurfaces
+from lab.gpu.kernels import Array, Cases, Cells, FieldRules, Mesh, Planes
+from lab.gpu.neighbours import SortedPoints, blended_distances, blended_normals
+from lab.gpu.order import VoxelKeys, first_seen, voxels_of
 from revisit.core.kernels.surface_cells import NEAR_PLANE
 
 _CUBE = np.array([(corner & 1, corner >> 1 & 1, corner >> 2 & 1) for corner in range(8)])

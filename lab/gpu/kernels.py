@@ -1,4 +1,4 @@
-"""The kernels of description that a device may do in the place of the compiled ones (docs/decisions/0295).
+"""The kernels of description that a device may do in the place of the compiled ones.
 
 They follow the steps of the method. Each call is of one submap, which is a batch by itself: a million returns, a
 hundred thousand corners, sixteen filters. Requests and answers are NumPy arrays.

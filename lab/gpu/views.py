@@ -7,9 +7,9 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from revisit.core.device.description import Array, Array64, Patches
-from revisit.core.device.torch_arrays import moved_there
-from revisit.core.device.torch_order import Groups
+from lab.gpu.arrays import moved_there
+from lab.gpu.kernels import Array, Array64, Patches
+from lab.gpu.order import Groups
 
 
 class TorchViews:
