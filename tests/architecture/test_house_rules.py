@@ -82,3 +82,12 @@ def test_the_rules_notice_a_long_function_and_a_missing_docstring():
     tree = ast.parse("def f():\n" + "    x = 1\n" * 41 + "\ndef g():\n    '''Doc.'''\n" + "    x = 1\n" * 40)
     assert [(f.name, is_long(f)) for f in functions(tree)] == [("f", True), ("g", False)]
     assert undocumented(tree) == ["the module", "f"]
+
+
+def test_the_listing_of_core_names_every_part_and_nothing_else():
+    listing = ast.get_docstring(ast.parse((ROOT / "core/__init__.py").read_text())) or ""
+    stages = {name for line in listing.splitlines() if line.startswith("    ") for name in line[4:28].split(", ")}
+    beside = " ".join(listing.split("Beside them")[1].split("\n\n")[0].split())
+    others = set(re.findall(r"[:,] ([a-z_]+)(?= \(|\.)", beside))
+    there = {path.stem for path in (ROOT / "core").iterdir() if path.suffix == ".py" or (path / "__init__.py").exists()}
+    assert {name.strip() for name in stages} | others == there - {"__init__"}
