@@ -9,7 +9,7 @@ gradient_steps   fitting the features of a learned field
 online_fitting   the same, one scan after the other
 neural_map       the field and its queries
 fitting          all of it, for one submap
-settled, coded, blob    the compact stored form
+settled          the geometry as it is stored (core.codec)
 """
 
 from revisit.core.implicit_map.decoder import DecoderWeights

@@ -16,7 +16,7 @@ from revisit.service.application.contract.map_frames import MapPose
 class SearchCriteria:
     """What a hit must satisfy. All optional but `k` (1 to 100).
 
-    `leave_distance_m` leaves out submaps of the query's own drive that it has just left (core.candidates);
+    `leave_distance_m` leaves out submaps of the query's own drive that it has just left (`core.acceptance.revisits`);
     `prior_position_m` with `radius_m` keeps hits whose position (in the odometry frame of `only_session`, or of the
     map's one session) is near. `storey`: where a cloud or descriptor was taken; submaps of sessions on another one are
     no hits. A stored submap has that of its session.
