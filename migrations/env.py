@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from alembic import context
 
-from revisit.service.adapters.sql.tables import metadata
+from revisit.service.engines.sql.tables import metadata
 
 
 def run() -> None:

@@ -64,8 +64,8 @@ def write_parameters(out: Path) -> None:
 
 def write_openapi(out: Path) -> None:
     """Write the OpenAPI document of the HTTP interface under `out`."""
-    from revisit.service.application import UseCases
     from revisit.service.rest.app import create_app
+    from revisit.service.use_cases import UseCases
 
     # The document depends on the routes alone; nothing calls a use case here.
     from scripts import api_page

@@ -167,8 +167,8 @@ def interfaces() -> str:
 
 
 def _rest_parts() -> Iterator[str]:
-    from revisit.service.application import UseCases
     from revisit.service.rest.app import create_app
+    from revisit.service.use_cases import UseCases
 
     document = create_app(cast(UseCases, None)).openapi()
     for path, methods in sorted(document["paths"].items()):
@@ -204,7 +204,7 @@ def _grpc_parts() -> Iterator[str]:
 def _meanings() -> Iterator[tuple[str, list[str]]]:
     """Each code with what the exceptions that carry it say by default."""
     from revisit.core import errors as of_core
-    from revisit.service.application.contract import errors as of_service
+    from revisit.service.domain import errors as of_service
     from revisit.service.grpc import scan_streams
     from revisit.service.rest import errors as of_rest
 

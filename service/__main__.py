@@ -60,8 +60,8 @@ def main(arguments: list[str] | None = None) -> int:
 
 def _started(options: argparse.Namespace, settings: Settings) -> int:
     """Run the command; what it cannot run on is refused in a line."""
-    from revisit.service.adapters.files.filesystem import RemoteFileSystem
-    from revisit.service.adapters.sqlite.migration import ForeignSchema
+    from revisit.service.engines.local.files.filesystem import RemoteFileSystem
+    from revisit.service.engines.local.sqlite.migration import ForeignSchema
 
     try:
         return _run(options, settings)
@@ -76,8 +76,8 @@ def _run(options: argparse.Namespace, settings: Settings) -> int:
 
     Raises ForeignSchema for a database of another version.
     """
-    from revisit.service.adapters.sqlite.connections import unreadable
-    from revisit.service.adapters.sqlite.migration import current_revision, migrate
+    from revisit.service.engines.local.sqlite.connections import unreadable
+    from revisit.service.engines.local.sqlite.migration import current_revision, migrate
 
     broken = unreadable(settings.database)
     if broken:
@@ -127,8 +127,8 @@ def _serve(settings: Settings) -> int:
             "Listen on 127.0.0.1, or set REVISIT_INSECURE_BIND=1 if you mean it."
         )
     _tell_start("serve")
-    from revisit.service.adapters.files.home_lock import HomeTaken, sole_gateway
     from revisit.service.compiled_kernels import choose_cache
+    from revisit.service.engines.local.files.home_lock import HomeTaken, sole_gateway
 
     try:
         # Before numba is imported: the gateway has kernels, too.
@@ -159,8 +159,8 @@ def _missing_protection(settings: Settings) -> list[str]:
 def _has_live_key(settings: Settings) -> bool:
     if not settings.database.exists():
         return False
-    from revisit.service.adapters.sqlite.migration import migrate
     from revisit.service.composition import offline_use_cases
+    from revisit.service.engines.local.sqlite.migration import migrate
 
     migrate(settings.database)
     with offline_use_cases(settings) as use_cases:

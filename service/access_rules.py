@@ -1,4 +1,4 @@
-"""How callers are recognised in this installation, out of its settings."""
+"""How callers are recognised in this context, out of its settings."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from pydantic import BaseModel, ConfigDict, TypeAdapter, ValidationError
 
 from revisit.api.scopes import Scope
 from revisit.service.access_settings import AccessSettings
-from revisit.service.application.access.admission import AccessRules, CertificateGrant
-from revisit.service.application.contract.identity import TenantId, validated_id
+from revisit.service.domain.identity import TenantId, validated_id
+from revisit.service.features.keys.admission import AccessRules, CertificateGrant
 
 if TYPE_CHECKING:
-    from revisit.service.application.contract.access_ports import TokenVerifier
+    from revisit.service.ports.access import TokenVerifier
 
 
 class _Grant(BaseModel):

@@ -17,35 +17,36 @@ import structlog
 
 from revisit.service import VERSION
 from revisit.service.access_rules import access_rules
-from revisit.service.adapters.clock import SystemClock
 from revisit.service.adapters.core_map_merger import CoreMapMerger
 from revisit.service.adapters.core_map_optimiser import CoreMapOptimiser
 from revisit.service.adapters.core_tile_maker import CoreTileMaker
-from revisit.service.adapters.files.blobs import FileBlobStore
-from revisit.service.adapters.files.disk import Disk, FailStop
-from revisit.service.adapters.files.file_drafts import FileDrafts
-from revisit.service.adapters.files.filesystem import require_local
-from revisit.service.adapters.files.index_files import IndexFiles
-from revisit.service.adapters.files.secret_files import SECRET_BYTES, kept_secret
-from revisit.service.adapters.sqlite.checkpoints import Checkpoints
-from revisit.service.adapters.sqlite.connections import write_ahead_log
-from revisit.service.adapters.sqlite.transactions import SqliteTransactions, StorageFailures
-from revisit.service.adapters.vector_index import SAVED_FROM, PlaceVectorIndex
-from revisit.service.application import Installation, UseCases
-from revisit.service.application.access.callers import current_actor
-from revisit.service.application.capacity.call_pace import CallPace
-from revisit.service.application.capacity.in_flight import InFlight
-from revisit.service.application.contract.recogniser import PlaceRecogniser
-from revisit.service.application.contract.tracing import NoTracer, Tracer
-from revisit.service.application.housekeeping.retention import forget_answers, forget_events
-from revisit.service.application.housekeeping.sweeping import sweep
-from revisit.service.application.housekeeping.system import WORKER_SEEN_WITHIN_MS
-from revisit.service.application.housekeeping.upkeep import Chore
-from revisit.service.application.push.deliveries import Deliveries
-from revisit.service.application.recognise.reembedding import Reembedding
+from revisit.service.capacity.call_pace import CallPace
+from revisit.service.capacity.in_flight import InFlight
 from revisit.service.compiled_kernels import begin_anew_if_compiled
+from revisit.service.context import ServiceContext
+from revisit.service.domain.callers import current_actor
+from revisit.service.engines.local.clock import SystemClock
+from revisit.service.engines.local.files.blobs import FileBlobStore
+from revisit.service.engines.local.files.disk import Disk, FailStop
+from revisit.service.engines.local.files.file_drafts import FileDrafts
+from revisit.service.engines.local.files.filesystem import require_local
+from revisit.service.engines.local.files.index_files import IndexFiles
+from revisit.service.engines.local.files.secret_files import SECRET_BYTES, kept_secret
+from revisit.service.engines.local.sqlite.checkpoints import Checkpoints
+from revisit.service.engines.local.sqlite.connections import write_ahead_log
+from revisit.service.engines.local.sqlite.transactions import SqliteTransactions, StorageFailures
+from revisit.service.engines.local.vector_index import SAVED_FROM, PlaceVectorIndex
+from revisit.service.features.recognition.reembedding import Reembedding
+from revisit.service.features.upkeep.calls import WORKER_SEEN_WITHIN_MS
+from revisit.service.features.upkeep.chores import Chore
+from revisit.service.features.upkeep.retention import forget_answers, forget_events
+from revisit.service.features.upkeep.sweeping import sweep
+from revisit.service.features.webhooks.deliveries import Deliveries
 from revisit.service.large_blocks import SPARE_BYTES, return_large_blocks, share_one_heap
+from revisit.service.ports.recogniser import PlaceRecogniser
+from revisit.service.ports.tracing import NoTracer, Tracer
 from revisit.service.settings import Settings
+from revisit.service.use_cases import UseCases
 from revisit.service.worker.confinement import confine
 from revisit.service.worker.ends import STORAGE_FAILED
 from revisit.service.worker.heartbeat import WorkerIdentity
@@ -80,7 +81,7 @@ STOP_SIGNALS = (signal.SIGTERM, signal.SIGINT)
 log = structlog.get_logger(__name__)
 
 
-def build_installation(settings: Settings, *, gateway: bool, fail_stop: FailStop | None = None) -> Installation:
+def build_context(settings: Settings, *, gateway: bool, fail_stop: FailStop | None = None) -> ServiceContext:
     """What a process is built from. The gateway alone checkpoints the database; a failing disk trips `fail_stop`."""
     require_local(settings.home)
     policy, disk, switch = settings.policy, build_disk(settings), fail_stop or FailStop()
@@ -91,7 +92,7 @@ def build_installation(settings: Settings, *, gateway: bool, fail_stop: FailStop
     transactions = SqliteTransactions(
         settings.database, checkpoints=gateway, lease_ms=policy.lease_ms, fail_stop=switch, on_full=disk.release
     )
-    return Installation(
+    return ServiceContext(
         transactions=transactions,
         blobs=FileBlobStore(settings.blobs, fail_stop=switch, on_full=disk.release),
         index=PlaceVectorIndex(
@@ -120,9 +121,9 @@ def build_disk(settings: Settings) -> Disk:
     return Disk(settings.home, settings.reserve_mb * 2**20, write_ahead_log(settings.database))
 
 
-def chores(settings: Settings, installation: Installation, fail_stop: FailStop) -> tuple[Chore, ...]:
+def chores(settings: Settings, context: ServiceContext, fail_stop: FailStop) -> tuple[Chore, ...]:
     """The periodic work of the gateway; a failing disk trips `fail_stop`."""
-    disk, keeper = build_disk(settings), installation.index_keeper()
+    disk, keeper = build_disk(settings), context.index_keeper()
     failures = StorageFailures(write_ahead_log(settings.database), fail_stop, disk.release)
     checkpoints = Checkpoints(settings.database, failures)
 
@@ -133,7 +134,7 @@ def chores(settings: Settings, installation: Installation, fail_stop: FailStop) 
         await asyncio.to_thread(checkpoints.tend)
 
     async def sweep_blobs() -> None:
-        await sweep(installation.storage)
+        await sweep(context.storage)
 
     async def audit_index() -> None:
         await keeper.audit()
@@ -142,18 +143,18 @@ def chores(settings: Settings, installation: Installation, fail_stop: FailStop) 
         await keeper.tend_files()
 
     async def forget() -> None:
-        await forget_answers(installation.storage, installation.clock)
+        await forget_answers(context.storage, context.clock)
 
     async def forget_old_events() -> None:
-        await forget_events(installation.storage)
+        await forget_events(context.storage)
 
-    deliveries = build_deliveries(settings, installation)
+    deliveries = build_deliveries(settings, context)
 
     return (
         Chore("tend_disk", TEND_DISK_EVERY_S, tend_disk),
         Chore("fold_log_back", FOLD_LOG_BACK_EVERY_S, fold_log_back, at_end=True),
         Chore("sweep_blobs", SWEEP_EVERY_S, sweep_blobs),
-        Chore("erase_deleted", ERASE_EVERY_S, installation.erasure.all, close=installation.erasure.close),
+        Chore("erase_deleted", ERASE_EVERY_S, context.erasure.all, close=context.erasure.close),
         Chore("load_index", LOAD_INDEX_EVERY_S, keeper.load),
         Chore("audit_index", AUDIT_INDEX_EVERY_S, audit_index),
         Chore("tend_index_files", TEND_INDEX_FILES_EVERY_S, tend_index_files),
@@ -163,13 +164,13 @@ def chores(settings: Settings, installation: Installation, fail_stop: FailStop) 
     )
 
 
-def build_deliveries(settings: Settings, installation: Installation) -> Deliveries:
+def build_deliveries(settings: Settings, context: ServiceContext) -> Deliveries:
     """What sends events to webhooks."""
     from revisit.service.adapters.webhook_sender import HttpWebhookSender  # workers need none of what these bring
     from revisit.service.calls.push import webhook_body
 
     sender = HttpWebhookSender(private_networks=settings.webhook_private_networks)
-    return Deliveries(installation.storage, sender, installation.clock, webhook_body)
+    return Deliveries(context.storage, sender, context.clock, webhook_body)
 
 
 def build_tracer(settings: Settings, process: str) -> Tracer:
@@ -181,30 +182,30 @@ def build_tracer(settings: Settings, process: str) -> Tracer:
     return otlp_tracer(settings.otlp_endpoint, process)
 
 
-def build_use_cases(installation: Installation, settings: Settings) -> UseCases:
+def build_use_cases(context: ServiceContext, settings: Settings) -> UseCases:
     """What the transports call. Raises ValueError where a file of the access rules cannot be used."""
-    return UseCases.over(installation, VERSION, access_rules(settings))
+    return UseCases.over(context, VERSION, access_rules(settings))
 
 
 @contextmanager
 def offline_use_cases(settings: Settings) -> Iterator[UseCases]:
     """The use cases on the database of a service that may or may not run, for the command line."""
-    installation = build_installation(settings, gateway=False)
+    context = build_context(settings, gateway=False)
     try:
-        yield UseCases.over(installation, VERSION)
+        yield UseCases.over(context, VERSION)
     finally:
-        installation.transactions.close()
+        context.transactions.close()
 
 
 @contextmanager
 def offline_reembedding(settings: Settings) -> Iterator[Reembedding]:
     """What brings maps to the installed model, on the database of a service that may or may not run."""
-    installation = build_installation(settings, gateway=False)
+    context = build_context(settings, gateway=False)
     recogniser, drafts = load_recogniser(settings.recogniser), FileDrafts(settings.home / DRAFTS)
     try:
-        yield Reembedding(installation.transactions, installation.blobs, installation.policy, recogniser, drafts)
+        yield Reembedding(context.transactions, context.blobs, context.policy, recogniser, drafts)
     finally:
-        installation.transactions.close()
+        context.transactions.close()
 
 
 def run_worker(settings: Settings, worker_id: str | None, parent_pid: int | None) -> None:
@@ -222,15 +223,15 @@ def run_worker(settings: Settings, worker_id: str | None, parent_pid: int | None
     stopping = threading.Event()
     for number in STOP_SIGNALS:
         signal.signal(number, lambda *_: stopping.set())
-    installation = build_installation(settings, gateway=False, fail_stop=FailStop(lambda: os._exit(STORAGE_FAILED)))
+    context = build_context(settings, gateway=False, fail_stop=FailStop(lambda: os._exit(STORAGE_FAILED)))
     identity = WorkerIdentity(worker_id or f"worker-{secrets.token_hex(4)}", recogniser.model_version, parent_pid)
     structlog.contextvars.bind_contextvars(worker=identity.worker_id)
     log.info("worker_ready", model_version=identity.model_version)
     limits = WorkerLimits(settings.jobs_per_worker, settings.worker_memory_mb * 2**20 * 3 // 4, settings.job_timeout_s)
     tracer = build_tracer(settings, "worker")
     worker = Worker(
-        installation,
-        installation.jobs(recogniser, CoreMapOptimiser(), CoreMapMerger(), CoreTileMaker()),
+        context,
+        context.jobs(recogniser, CoreMapOptimiser(), CoreMapMerger(), CoreTileMaker()),
         identity,
         stopping,
         limits,
@@ -240,18 +241,18 @@ def run_worker(settings: Settings, worker_id: str | None, parent_pid: int | None
         worker.run()
     finally:
         tracer.close()
-        installation.transactions.close()
+        context.transactions.close()
 
 
 def worker_seen(settings: Settings, worker_id: str) -> bool:
     """Whether the worker has shown itself in the database lately."""
-    installation = build_installation(settings, gateway=False)
-    now = installation.clock.instant()
+    context = build_context(settings, gateway=False)
+    now = context.clock.instant()
     try:
-        alive = installation.transactions.read(lambda uow: uow.workers.alive(now.epoch, now.ms - WORKER_SEEN_WITHIN_MS))
+        alive = context.transactions.read(lambda uow: uow.workers.alive(now.epoch, now.ms - WORKER_SEEN_WITHIN_MS))
         return any(worker.worker_id == worker_id for worker in alive.result())
     finally:
-        installation.transactions.close()
+        context.transactions.close()
 
 
 def load_recogniser(name: str) -> PlaceRecogniser:

@@ -16,17 +16,18 @@ import structlog
 import uvicorn
 from prometheus_client import ProcessCollector
 
-from revisit.service.adapters.files.disk import FailStop
-from revisit.service.adapters.sqlite.migration import migrate
-from revisit.service.application import Installation, UseCases
-from revisit.service.application.housekeeping.upkeep import Upkeep
-from revisit.service.composition import build_installation, build_tracer, build_use_cases, chores
+from revisit.service.composition import build_context, build_tracer, build_use_cases, chores
+from revisit.service.context import ServiceContext
+from revisit.service.engines.local.files.disk import FailStop
+from revisit.service.engines.local.sqlite.migration import migrate
+from revisit.service.features.upkeep.chores import Upkeep
 from revisit.service.large_blocks import return_large_blocks
 from revisit.service.metrics import LoadMetrics, MetricsServer, RequestMetrics, StoreMetrics
 from revisit.service.open_files import allow_open_files
 from revisit.service.settings import Settings
 from revisit.service.supervised import READY, STOPPING, tell_supervisor
 from revisit.service.tls import grpc_credentials, http_context
+from revisit.service.use_cases import UseCases
 from revisit.service.worker.ends import STORAGE_FAILED
 from revisit.service.worker.metrics import WorkerMetrics
 from revisit.service.worker.supervisor import WorkerSupervisor
@@ -71,22 +72,22 @@ class _Gateway:
         """Serve until told to stop, then drain; the exit status."""
         stop = self._stop_signal()
         fail_stop = FailStop(self._failing_disk_ends(stop))
-        installation = build_installation(self._settings, gateway=True, fail_stop=fail_stop)
-        use_cases = build_use_cases(installation, self._settings)
-        supervisor = self._supervisor(installation)
+        context = build_context(self._settings, gateway=True, fail_stop=fail_stop)
+        use_cases = build_use_cases(context, self._settings)
+        supervisor = self._supervisor(context)
         http, http_port = self._http_server(use_cases)
         rpc, grpc_port = self._grpc_server(use_cases)
         await rpc.start()
         serving = asyncio.create_task(http.serve(), name="http")
         await supervisor.take_over()
         supervisor.start()
-        upkeep = Upkeep(chores(self._settings, installation, fail_stop))
+        upkeep = Upkeep(chores(self._settings, context, fail_stop))
         upkeep.start()
-        metrics = self._metrics_server(installation)
+        metrics = self._metrics_server(context)
         await asyncio.to_thread(_load_kernels)
         # Objects made during the start live on. Searching them for garbage would hold up requests for 70 to 90 ms.
         gc.freeze()
-        self._watch_load(installation)
+        self._watch_load(context)
         self._announce(http_port, grpc_port)
         tell_supervisor(READY)
         await self._warn_of_access(use_cases)
@@ -105,7 +106,7 @@ class _Gateway:
         if metrics is not None:
             await asyncio.to_thread(metrics.close)
         await asyncio.to_thread(self._tracer.close)
-        await asyncio.to_thread(installation.transactions.close)
+        await asyncio.to_thread(context.transactions.close)
         log.info("stopped", status=self._status)
         return self._status
 
@@ -117,17 +118,17 @@ class _Gateway:
         if needs_key and not await use_cases.keys.any_live():
             log.warning("closed_to_everyone", hint="create the first API key: `revisit keys create`")
 
-    def _supervisor(self, installation: Installation) -> WorkerSupervisor:
+    def _supervisor(self, context: ServiceContext) -> WorkerSupervisor:
         """The supervisor of the workers; the metrics of this process and of them."""
-        registry, lease_ms = self._requests.registry, installation.policy.lease_ms
-        supervisor = WorkerSupervisor(installation.storage, installation.clock, lease_ms, self._settings.workers)
+        registry, lease_ms = self._requests.registry, context.policy.lease_ms
+        supervisor = WorkerSupervisor(context.storage, context.clock, lease_ms, self._settings.workers)
         registry.register(WorkerMetrics(supervisor))
         ProcessCollector(namespace="revisit", registry=registry)
         return supervisor
 
-    def _watch_load(self, installation: Installation) -> None:
+    def _watch_load(self, context: ServiceContext) -> None:
         """Measure from now on how late the event loop is: the start keeps it busy."""
-        load = LoadMetrics(self._requests.registry, installation.in_flight)
+        load = LoadMetrics(self._requests.registry, context.in_flight)
         self._watch = asyncio.create_task(load.watch(), name="load")
 
     def _announce(self, http_port: int, grpc_port: int) -> None:
@@ -169,12 +170,12 @@ class _Gateway:
             asyncio.get_running_loop().add_signal_handler(number, stop.set)
         return stop
 
-    def _metrics_server(self, installation: Installation) -> MetricsServer | None:
+    def _metrics_server(self, context: ServiceContext) -> MetricsServer | None:
         """`/metrics` on a port of its own, on loopback, where the settings ask for it."""
         port = self._settings.metrics_port
         if port is None:
             return None
-        server = MetricsServer(self._requests, StoreMetrics(installation), port)
+        server = MetricsServer(self._requests, StoreMetrics(context), port)
         log.info("metrics_listening", port=server.port)
         return server
 

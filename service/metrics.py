@@ -14,12 +14,12 @@ from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metri
 from prometheus_client.registry import Collector
 
 from revisit.core.errors import RevisitError
-from revisit.service.application import Installation
-from revisit.service.application.capacity.in_flight import InFlight
-from revisit.service.application.contract.repositories import Repository
-from revisit.service.application.contract.states import LoopState, OperationState, SubmapState
-from revisit.service.application.contract.transactions import UnitOfWork
-from revisit.service.application.housekeeping.system import WORKER_SEEN_WITHIN_MS
+from revisit.service.capacity.in_flight import InFlight
+from revisit.service.context import ServiceContext
+from revisit.service.domain.states import LoopState, OperationState, SubmapState
+from revisit.service.features.upkeep.calls import WORKER_SEEN_WITHIN_MS
+from revisit.service.ports.repositories import Repository
+from revisit.service.ports.transactions import UnitOfWork
 
 LATENCY_BUCKETS_S = (0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 5.0, 10.0, 30.0)
 LAG_BUCKETS_S = (0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.25, 1.0)
@@ -80,9 +80,9 @@ class LoadMetrics:
 class StoreMetrics(Collector):
     """Jobs, submaps and loop closures by state, and workers alive, read from the database for each answer."""
 
-    def __init__(self, installation: Installation) -> None:
-        """Reads from `installation`, from the thread that answers."""
-        self._installation = installation
+    def __init__(self, context: ServiceContext) -> None:
+        """Reads from `context`, from the thread that answers."""
+        self._installation = context
 
     def collect(self) -> Iterator[Metric]:
         """The families; only that of the index where the database does not answer."""

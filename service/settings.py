@@ -11,11 +11,11 @@ from pydantic import Field
 
 from revisit.core.config import PipelineConfig
 from revisit.service.access_settings import AccessSettings
-from revisit.service.application.capacity.call_pace import PaceLimits
-from revisit.service.application.capacity.in_flight import CapacityLimits
-from revisit.service.application.contract import limits
-from revisit.service.application.contract.policy import Policy
-from revisit.service.application.housekeeping.retention import ANSWERS_KEPT_S, EVENTS_KEPT
+from revisit.service.capacity.call_pace import PaceLimits
+from revisit.service.capacity.in_flight import CapacityLimits
+from revisit.service.domain import limits
+from revisit.service.domain.policy import Policy
+from revisit.service.features.upkeep.retention import ANSWERS_KEPT_S, EVENTS_KEPT
 
 GROUPS: Mapping[str, tuple[str, ...]] = {
     "Addresses and access": (
@@ -54,7 +54,7 @@ GONE: Mapping[str, str] = {
 
 
 class Settings(AccessSettings):
-    """How this installation runs. Field `http_port` is the variable REVISIT_HTTP_PORT, and so on."""
+    """How this context runs. Field `http_port` is the variable REVISIT_HTTP_PORT, and so on."""
 
     home: Path = Field(default=Path("data"), description="directory of the database and the blobs")
     http_port: int = Field(default=8080, ge=0, le=65535, description="REST port; 0 takes a free one")

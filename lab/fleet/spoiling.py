@@ -11,14 +11,14 @@ import numpy as np
 from revisit.core.geometry import se3
 from revisit.core.geometry.se3 import pose_row
 from revisit.evaluation.demo.truth import FoundLoop
-from revisit.service.adapters.sqlite.migration import migrate
-from revisit.service.application.contract.identity import DEFAULT_TENANT, SubmapKey, TenantId
-from revisit.service.application.contract.records import LoopRecord, SubmapRecord
-from revisit.service.application.contract.states import LoopEventKind, LoopState
-from revisit.service.application.contract.storage import require_submap
-from revisit.service.application.contract.transactions import UnitOfWork
-from revisit.service.application.mapping.loop_events import Change, add_loop
-from revisit.service.composition import build_installation
+from revisit.service.composition import build_context
+from revisit.service.domain.identity import DEFAULT_TENANT, SubmapKey, TenantId
+from revisit.service.domain.records import LoopRecord, SubmapRecord
+from revisit.service.domain.states import LoopEventKind, LoopState
+from revisit.service.engines.local.sqlite.migration import migrate
+from revisit.service.features.loops.rows import Change, add_loop
+from revisit.service.ports.storage import require_submap
+from revisit.service.ports.transactions import UnitOfWork
 from revisit.service.settings import Settings
 
 WRONG = "wrong-"
@@ -29,7 +29,7 @@ def put_in(data: Path, map_id: str, loops: Sequence[FoundLoop], seed: int) -> No
     """Store wrong loops; each states the evidence, and so the covariance, of an accepted one chosen by chance."""
     settings = Settings(home=data)
     migrate(settings.database)
-    installation = build_installation(settings, gateway=False)
+    installation = build_context(settings, gateway=False)
     try:
         installation.transactions.write(partial(_store, map_id=map_id, loops=loops, seed=seed)).result()
     finally:

@@ -15,7 +15,7 @@ from revisit.cli.options import Home, Json
 from revisit.cli.output import emit_json, emit_table, refuse, say, utc
 
 if TYPE_CHECKING:
-    from revisit.service.application.contract.access_ports import AuditRecord
+    from revisit.service.ports.access import AuditRecord
 
 
 @needs("service")

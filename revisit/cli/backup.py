@@ -20,7 +20,7 @@ def backup(
 ) -> None:
     """Back up the data folder into a new folder, while the service runs; exit status 1 where a blob or row is lost."""
     from revisit.service import VERSION
-    from revisit.service.adapters.sqlite.backup import make_backup
+    from revisit.service.engines.local.sqlite.backup import make_backup
 
     manifest = make_backup(data_folder(home), out, VERSION)
     size_mb = manifest.blob_bytes / 2**20
@@ -43,8 +43,8 @@ def restore(
     json: Json = False,
 ) -> None:
     """Make a new data folder out of a backup, after checking its signature and every hash; all of it or nothing."""
-    from revisit.service.adapters.files.secret_files import read_secret
-    from revisit.service.adapters.sqlite.backup import restore_backup
+    from revisit.service.engines.local.files.secret_files import read_secret
+    from revisit.service.engines.local.sqlite.backup import restore_backup
 
     if (key is None) != unsigned:
         raise refuse("give the key that signed the backup (--key backup.key), or --unsigned where it is lost")
@@ -56,7 +56,7 @@ def restore(
 @needs("service")
 def scrub(home: Home = None, json: Json = False) -> None:
     """Read every blob, page and row, move damaged blobs aside; exit status 1 where anything is damaged or missing."""
-    from revisit.service.adapters.sqlite import examination
+    from revisit.service.engines.local.sqlite import examination
 
     found = examination.scrub(data_folder(home))
     _tell(f"{found.checked} blobs read, database {found.database}", asdict(found), json)

@@ -20,7 +20,7 @@ from revisit.sdk.errors import ApiError
 
 if TYPE_CHECKING:
     from revisit.sdk.client import Client
-    from revisit.service.adapters.sqlite.examination import Finding
+    from revisit.service.engines.local.sqlite.examination import Finding
 
 LIBRARIES = ("numpy", "faiss-cpu", "opencv-python-headless", "fastapi", "grpcio", "protobuf", "sqlalchemy")
 
@@ -36,7 +36,7 @@ def doctor(
     """Check versions, the models, the data folder and whether the service answers."""
     from revisit.sdk.client import Client
     from revisit.sdk.retry import RetryPolicy
-    from revisit.service.adapters.sqlite.examination import Finding
+    from revisit.service.engines.local.sqlite.examination import Finding
 
     once = RetryPolicy(attempts=1)
     findings = [
@@ -58,7 +58,7 @@ def doctor(
 
 
 def _library(name: str, optional: bool = False) -> Finding:
-    from revisit.service.adapters.sqlite.examination import Finding
+    from revisit.service.engines.local.sqlite.examination import Finding
 
     try:
         return Finding(name, True, metadata.version(name))
@@ -67,7 +67,7 @@ def _library(name: str, optional: bool = False) -> Finding:
 
 
 def _checked(check: str, examine: Callable[[], str]) -> Finding:
-    from revisit.service.adapters.sqlite.examination import Finding
+    from revisit.service.engines.local.sqlite.examination import Finding
 
     try:
         return Finding(check, True, examine())
@@ -82,7 +82,7 @@ def _models() -> str:
 
 
 def _data(home: Path | None, full: bool) -> list[Finding]:
-    from revisit.service.adapters.sqlite.examination import examine
+    from revisit.service.engines.local.sqlite.examination import examine
 
     return examine(data_folder(home), full=full)
 

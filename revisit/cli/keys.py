@@ -14,8 +14,8 @@ from revisit.cli.options import Home, Json
 from revisit.cli.output import emit_json, emit_table, say, utc
 
 if TYPE_CHECKING:
-    from revisit.service.application.access.api_keys import NewKey
-    from revisit.service.application.contract.access_ports import KeyRecord
+    from revisit.service.features.keys.calls import NewKey
+    from revisit.service.ports.access import KeyRecord
 
 DAY_S = 86400.0
 HOUR_S = 3600.0
@@ -36,7 +36,7 @@ def create_key(
     json: Json = False,
 ) -> None:
     """Make a key (for ingest and query by default) and show it, once. The first one ends the time without keys."""
-    from revisit.service.application.access.api_keys import CreateKey
+    from revisit.service.features.keys.calls import CreateKey
 
     lifetime_s = None if expires_days is None else expires_days * DAY_S
     wanted = CreateKey(tenant, tuple(scope or ("ingest", "query")), label, lifetime_s)

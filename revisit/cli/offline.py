@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from revisit.cli.output import refuse
 
 if TYPE_CHECKING:
-    from revisit.service.application import UseCases
+    from revisit.service.use_cases import UseCases
 
 
 def data_folder(home: Path | None) -> Path:
@@ -24,8 +24,8 @@ def data_folder(home: Path | None) -> Path:
 @contextmanager
 def use_cases_on(home: Path | None) -> Iterator[UseCases]:
     """The use cases on the database, which is made where it is missing. Raises typer.Exit where it does not fit."""
-    from revisit.service.adapters.sqlite.migration import ForeignSchema, migrate
     from revisit.service.composition import offline_use_cases
+    from revisit.service.engines.local.sqlite.migration import ForeignSchema, migrate
     from revisit.service.settings_here import settings_here
 
     # Files are for this user only.

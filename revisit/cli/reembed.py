@@ -13,7 +13,7 @@ from revisit.cli.options import Home, Json
 from revisit.cli.output import emit_json, emit_table, progress_bar, refuse, reporter, say
 
 if TYPE_CHECKING:
-    from revisit.service.application.recognise.reembedding import Reembedded
+    from revisit.service.features.recognition.reembedding import Reembedded
 
 
 @needs("service")

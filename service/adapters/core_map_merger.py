@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from revisit.service.adapters.core_map_optimiser import NamedGraph
-from revisit.service.application.contract.map_merger import (
+from revisit.service.domain.states import ChangeKind
+from revisit.service.ports.map_merger import (
     AlignedMaps,
     DescribedPlaces,
     Judgement,
@@ -18,8 +19,7 @@ from revisit.service.application.contract.map_merger import (
     PlacedSubmapMap,
     SurfaceEvidence,
 )
-from revisit.service.application.contract.map_optimiser import MapGraph, Told, TrackLoop
-from revisit.service.application.contract.states import ChangeKind
+from revisit.service.ports.map_optimiser import MapGraph, Told, TrackLoop
 
 if TYPE_CHECKING:
     from revisit.core.implicit_map import DecoderWeights

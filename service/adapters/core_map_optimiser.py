@@ -11,7 +11,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from revisit.service.application.contract.map_optimiser import (
+from revisit.service.domain.states import GraphState
+from revisit.service.large_blocks import return_free_memory
+from revisit.service.ports.map_optimiser import (
     JudgedLoop,
     MapGraph,
     OptimisedMap,
@@ -23,8 +25,6 @@ from revisit.service.application.contract.map_optimiser import (
     TrackFault,
     TrackLoop,
 )
-from revisit.service.application.contract.states import GraphState
-from revisit.service.large_blocks import return_free_memory
 
 if TYPE_CHECKING:
     from revisit.core.pose_graph import LoopEdge, Node, OptimisedGraph, PoseGraph

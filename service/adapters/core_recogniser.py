@@ -26,8 +26,8 @@ from revisit.core.stages import stage_times
 from revisit.core.submap import Submap
 from revisit.core.surface import extract_surface
 from revisit.service.adapters.rehearsal import accompany, rehearse
-from revisit.service.application.contract.recogniser import Redescription, SubmapDescription
 from revisit.service.large_blocks import return_free_memory
+from revisit.service.ports.recogniser import Redescription, SubmapDescription
 
 PLACES_READ = 96
 """Places that a worker keeps unpacked, the last ones it used: candidates come again with a robot's next submap, and a

@@ -20,7 +20,7 @@ from revisit.core.pose_graph import (
 )
 from revisit.core.pose_graph.independence import share_beside
 from revisit.core.pose_graph.variance_factor import rescaled, variance_factor
-from revisit.service.application.contract.map_optimiser import MapGraph, SolvedTrack, TrackLoop
+from revisit.service.ports.map_optimiser import MapGraph, SolvedTrack, TrackLoop
 
 Array64 = NDArray[np.float64]
 

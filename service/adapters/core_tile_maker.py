@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from revisit.core.codec.mesh import Mesh
 from revisit.core.codec.tile import FusedTile
-from revisit.service.application.contract.map_merger import PlacedSubmapMap
+from revisit.service.ports.map_merger import PlacedSubmapMap
 
 if TYPE_CHECKING:
     from revisit.core.implicit_map import DecoderWeights, NeuralMap

@@ -13,7 +13,7 @@ from opentelemetry.sdk.trace.export import BatchSpanProcessor
 from opentelemetry.trace.propagation.tracecontext import TraceContextTextMapPropagator
 
 from revisit.service import VERSION
-from revisit.service.application.contract.tracing import Role, Span
+from revisit.service.ports.tracing import Role, Span
 
 CLOSE_WITHIN_MS = 2_000
 _KINDS = {Role.REQUEST: trace.SpanKind.SERVER, Role.JOB: trace.SpanKind.CONSUMER}

@@ -38,7 +38,7 @@ from revisit.core.submap import Submap
 from revisit.formats import quantised_columns
 from revisit.formats.glb import encode_scene
 from revisit.service import own_python
-from revisit.service.application.contract.recogniser import PlaceRecogniser
+from revisit.service.ports.recogniser import PlaceRecogniser
 
 Array64 = NDArray[np.float64]
 

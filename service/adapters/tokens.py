@@ -13,9 +13,9 @@ import jwt
 import structlog
 
 from revisit.core.errors import RevisitError
-from revisit.service.application.contract.access_ports import TokenClaims
-from revisit.service.application.contract.errors import Unauthenticated
-from revisit.service.application.contract.identity import TenantId, validated_id
+from revisit.service.domain.errors import Unauthenticated
+from revisit.service.domain.identity import TenantId, validated_id
+from revisit.service.ports.access import TokenClaims
 
 ALGORITHMS = ("RS256", "ES256", "EdDSA")
 """Signatures by a private key: a secret that both sides know could be made out of the public key."""

@@ -14,8 +14,8 @@ from urllib.parse import urlsplit
 
 import httpx
 
-from revisit.service.application.contract.webhooks import Answered
-from revisit.service.application.push.addresses import is_public
+from revisit.service.domain.webhooks import Answered
+from revisit.service.features.webhooks.rules import is_public
 
 WHOLE_S = 15.0
 """For resolving, connecting, sending and the head of the answer together; its body is not read."""

@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import AsyncIterator
 from dataclasses import fields
 
-from revisit.service.application import TenantId, UseCases
-from revisit.service.application.catalogue.maps import CreateMap, MapView
-from revisit.service.application.catalogue.robots import CreateRobot, RobotView
-from revisit.service.application.catalogue.sessions import CreateSession, SessionView
-from revisit.service.application.contract.loop_policy import LoopPolicy
-from revisit.service.application.contract.views import SubmapView
 from revisit.service.calls.operations import failure_fields
+from revisit.service.domain.identity import TenantId
+from revisit.service.domain.loop_policy import LoopPolicy
+from revisit.service.features.catalogue.maps import CreateMap, MapView
+from revisit.service.features.catalogue.robots import CreateRobot, RobotView
+from revisit.service.features.catalogue.sessions import CreateSession, SessionView
+from revisit.service.features.resources.views import SubmapView
+from revisit.service.use_cases import UseCases
 from revisit.service.wire import names, requests
 from revisit.service.wire.fields import Fields, fields_in_map, fields_of, resource_name
 from revisit.service.wire.rendering import Answer, Listed

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from revisit.service.application import SubmapKey, TenantId, UseCases
-from revisit.service.application.ingest.scans import ScanAck
-from revisit.service.application.ingest.submap_posting import PostedSubmap, PostSubmap
 from revisit.service.calls.catalogue import submap_fields
 from revisit.service.calls.operations import operation_fields
+from revisit.service.domain.identity import SubmapKey, TenantId
+from revisit.service.features.ingest.calls import ScanAck
+from revisit.service.features.ingest.posting import PostedSubmap, PostSubmap
+from revisit.service.use_cases import UseCases
 from revisit.service.wire import names, requests
 from revisit.service.wire.fields import Fields, fields_of
 from revisit.service.wire.rendering import Answer

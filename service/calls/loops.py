@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import AsyncIterator
 
-from revisit.service.application import TenantId, UseCases
-from revisit.service.application.contract.map_frames import matrix_of
-from revisit.service.application.contract.states import GraphState, LoopState
-from revisit.service.application.mapping.loop_decisions import LoopEventView, ProposeLoop
-from revisit.service.application.query.loop_keypoints import KeypointPlan, LoopKeypoints
-from revisit.service.application.query.loops import LoopClosureView
 from revisit.service.calls.operations import operation_fields
+from revisit.service.domain.identity import TenantId
+from revisit.service.domain.states import GraphState, LoopState
+from revisit.service.features.graph.map_frames import matrix_of
+from revisit.service.features.loops.calls import LoopClosureView
+from revisit.service.features.loops.decisions import LoopEventView, ProposeLoop
+from revisit.service.features.loops.keypoints import KeypointPlan, LoopKeypoints
+from revisit.service.use_cases import UseCases
 from revisit.service.wire import names, requests
 from revisit.service.wire.fields import Fields, fields_in_map, fields_of, transform_fields
 from revisit.service.wire.rendering import Answer, Listed

@@ -7,12 +7,13 @@ from collections.abc import AsyncIterator
 import numpy as np
 
 from revisit.core.errors import BadField
-from revisit.service.application import TenantId, UseCases
-from revisit.service.application.contract import limits
-from revisit.service.application.mapping.map_files import MapFileView
-from revisit.service.application.mapping.map_layout import PIECE_BYTES
-from revisit.service.application.mapping.tiles import MapDistances, MapPoints, MapQuestion, MapTileView
 from revisit.service.calls.operations import asked_fields
+from revisit.service.domain import limits
+from revisit.service.domain.identity import TenantId
+from revisit.service.features.publishing.calls import MapFileView
+from revisit.service.features.publishing.layout import PIECE_BYTES
+from revisit.service.features.tiles.calls import MapDistances, MapPoints, MapQuestion, MapTileView
+from revisit.service.use_cases import UseCases
 from revisit.service.wire import names, requests
 from revisit.service.wire.fields import Fields, fields_of, vector_fields
 from revisit.service.wire.rendering import Answer, Listed

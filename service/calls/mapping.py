@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import AsyncIterator, Mapping
 from typing import Any
 
-from revisit.service.application import TenantId, UseCases
-from revisit.service.application.contract.records import MapMergeRecord
-from revisit.service.application.mapping.corrections import CorrectionView
-from revisit.service.application.mapping.merges import MergeMap
-from revisit.service.application.mapping.versions import MapVersionView, SubmapPoseView
 from revisit.service.calls.operations import asked_fields
+from revisit.service.domain.identity import TenantId
+from revisit.service.domain.records import MapMergeRecord
+from revisit.service.features.corrections.calls import CorrectionView
+from revisit.service.features.merging.calls import MergeMap
+from revisit.service.features.optimisation.calls import MapVersionView, SubmapPoseView
+from revisit.service.use_cases import UseCases
 from revisit.service.wire import names, requests
 from revisit.service.wire.fields import Fields, covariance_numbers, fields_of, resource_name, vector_fields
 from revisit.service.wire.rendering import Answer, Listed

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from revisit.service.application import TenantId, UseCases
-from revisit.service.application.contract import limits
-from revisit.service.application.contract.states import OperationState
-from revisit.service.application.contract.views import OperationFailure, OperationView, PostedOperation
+from revisit.service.domain import limits
+from revisit.service.domain.identity import TenantId
+from revisit.service.domain.states import OperationState
+from revisit.service.features.resources.views import OperationFailure, OperationView, PostedOperation
+from revisit.service.use_cases import UseCases
 from revisit.service.wire import names, requests
 from revisit.service.wire.fields import Fields, fields_of
 from revisit.service.wire.rendering import Answer, Listed

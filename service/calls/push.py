@@ -6,13 +6,14 @@ from collections.abc import AsyncIterator, Sequence
 
 from pydantic_core import to_json
 
-from revisit.service.application import TenantId, UseCases
-from revisit.service.application.contract.webhooks import DeliveryRecord
-from revisit.service.application.push.events import EventView
-from revisit.service.application.push.webhooks import CreateWebhook, WebhookView
 from revisit.service.calls.loops import loop_fields
 from revisit.service.calls.mapping import version_fields
 from revisit.service.calls.operations import operation_fields
+from revisit.service.domain.identity import TenantId
+from revisit.service.domain.webhooks import DeliveryRecord
+from revisit.service.features.events.calls import EventView
+from revisit.service.features.webhooks.calls import CreateWebhook, WebhookView
+from revisit.service.use_cases import UseCases
 from revisit.service.wire import names, requests
 from revisit.service.wire.fields import Fields, fields_of
 from revisit.service.wire.json_form import json_form

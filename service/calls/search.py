@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from revisit.core.errors import BadField
-from revisit.service.application import TenantId, UseCases
-from revisit.service.application.query.search_answers import (
+from revisit.service.domain.identity import TenantId
+from revisit.service.features.index.answers import (
     Localization,
     LocalizedCandidate,
     SearchCriteria,
     SearchHit,
     SearchResult,
 )
-from revisit.service.application.query.searches import LocalizeQuery
+from revisit.service.features.search.calls import LocalizeQuery
+from revisit.service.use_cases import UseCases
 from revisit.service.wire import names, requests
 from revisit.service.wire.fields import Fields, fields_in_map, fields_of
 from revisit.service.wire.rendering import Answer

@@ -7,8 +7,9 @@ from functools import partial
 from typing import Any, cast
 
 from revisit.api.calls import Call
-from revisit.service.application import TenantId, UseCases
 from revisit.service.calls import catalogue, ingest, loops, map_parts, mapping, operations, push, search
+from revisit.service.domain.identity import TenantId
+from revisit.service.use_cases import UseCases
 from revisit.service.wire.fields import Fields
 from revisit.service.wire.rendering import Answer
 

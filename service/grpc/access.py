@@ -9,11 +9,11 @@ from typing import Any
 
 from revisit.api.calls import CALLS, Call
 from revisit.core.errors import RevisitError
-from revisit.service.application import UseCases
-from revisit.service.application.access.admission import STREAM_RECHECK_S, Credential
-from revisit.service.application.access.callers import enter
-from revisit.service.application.contract.errors import PermissionDenied, TooManyFailures, Unauthenticated
+from revisit.service.domain.callers import enter
+from revisit.service.domain.errors import PermissionDenied, TooManyFailures, Unauthenticated
+from revisit.service.features.keys.admission import STREAM_RECHECK_S, Credential
 from revisit.service.grpc.strangers import Strangers
+from revisit.service.use_cases import UseCases
 
 
 class Gate:

@@ -21,15 +21,15 @@ from google.rpc import error_details_pb2, status_pb2  # type: ignore[import-unty
 
 from revisit.api.calls import Cost
 from revisit.core.errors import MalformedBody, RevisitError, TooLarge
-from revisit.service.application.access.callers import current_actor, current_tenant
-from revisit.service.application.capacity.byte_budget import ByteBudget, HeldBytes
-from revisit.service.application.capacity.call_slots import CallSlots
-from revisit.service.application.capacity.slots import Slots
-from revisit.service.application.contract.errors import DeadlineExceeded
-from revisit.service.application.contract.tracing import current_request
+from revisit.service.capacity.byte_budget import ByteBudget, HeldBytes
+from revisit.service.capacity.call_slots import CallSlots
+from revisit.service.capacity.slots import Slots
+from revisit.service.domain.callers import current_actor, current_tenant
+from revisit.service.domain.errors import DeadlineExceeded
 from revisit.service.grpc.access import Gate, call_of
 from revisit.service.grpc.public_calls import PublicCalls
 from revisit.service.grpc.tracing import OWN_METHODS, REQUEST_ID
+from revisit.service.ports.tracing import current_request
 from revisit.service.status import ERROR_DOMAIN, STATUS, retry_after_s
 
 STATUS_DETAILS = "grpc-status-details-bin"

@@ -10,10 +10,10 @@ import grpc
 from google.protobuf.descriptor import ServiceDescriptor
 
 from revisit.api.calls import Call, Cost
-from revisit.service.application import UseCases
-from revisit.service.application.access.callers import current_tenant
 from revisit.service.calls import uses
+from revisit.service.domain.callers import current_tenant
 from revisit.service.grpc.scan_streams import ScanStreams
+from revisit.service.use_cases import UseCases
 from revisit.service.wire.rendering import rendered
 
 

@@ -10,7 +10,7 @@ import grpc
 from grpc_health.v1 import health_pb2 as pb
 from grpc_health.v1 import health_pb2_grpc
 
-from revisit.service.application import UseCases
+from revisit.service.use_cases import UseCases
 
 WATCH_POLL_S = 0.5
 

@@ -6,9 +6,9 @@ import asyncio
 from collections.abc import AsyncIterator, Iterator
 from contextlib import asynccontextmanager, contextmanager
 
-from revisit.service.application.capacity.newcomers import Newcomers, holder_of
-from revisit.service.application.capacity.slots import Share, Slots
-from revisit.service.application.contract.errors import DeadlineExceeded
+from revisit.service.capacity.newcomers import Newcomers, holder_of
+from revisit.service.capacity.slots import Share, Slots
+from revisit.service.domain.errors import DeadlineExceeded
 from revisit.service.grpc.strangers import endpoint_of
 
 WATCHES = Share("watches without a credential", 64, 48, 8, ("address", "connection"))

@@ -8,12 +8,13 @@ from contextlib import suppress
 from typing import Any
 
 from revisit.core.errors import ErrorCode, RevisitError
-from revisit.service.application import SessionKey, TenantId, UseCases
-from revisit.service.application.access.callers import current_tenant
-from revisit.service.application.contract.errors import Draining, NotFound
-from revisit.service.application.ingest.scans import OpenedStream, ResumePoint, ScanAck
 from revisit.service.calls.loops import loop_fields
+from revisit.service.domain.callers import current_tenant
+from revisit.service.domain.errors import Draining, NotFound
+from revisit.service.domain.identity import SessionKey, TenantId
+from revisit.service.features.ingest.calls import OpenedStream, ResumePoint, ScanAck
 from revisit.service.status import STATUS, retry_after_s
+from revisit.service.use_cases import UseCases
 from revisit.service.wire import names
 from revisit.service.wire.requests import append_scan
 from revisit.v1 import ingest_pb2 as pb

@@ -7,9 +7,7 @@ from grpc_health.v1 import health_pb2, health_pb2_grpc
 from grpc_reflection.v1alpha import reflection
 
 from revisit.api.calls import CALLS
-from revisit.service.application import UseCases
-from revisit.service.application.capacity.call_slots import CallLimits, CallSlots
-from revisit.service.application.contract.tracing import NoTracer, Tracer
+from revisit.service.capacity.call_slots import CallLimits, CallSlots
 from revisit.service.grpc.access import Gate
 from revisit.service.grpc.errors import LARGEST_MESSAGE_BYTES, ErrorInterceptor
 from revisit.service.grpc.handlers import handlers_of, services_of
@@ -18,6 +16,8 @@ from revisit.service.grpc.strangers import Strangers
 from revisit.service.grpc.timing import CallTimer
 from revisit.service.grpc.tracing import CallTracing
 from revisit.service.metrics import RequestMetrics
+from revisit.service.ports.tracing import NoTracer, Tracer
+from revisit.service.use_cases import UseCases
 
 MAX_MESSAGE_BYTES = LARGEST_MESSAGE_BYTES
 MAX_METADATA_BYTES = 16 * 2**10

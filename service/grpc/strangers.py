@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import NamedTuple
 from urllib.parse import unquote
 
-from revisit.service.application.capacity.newcomers import ADDRESS_NEWCOMERS, holder_of
+from revisit.service.capacity.newcomers import ADDRESS_NEWCOMERS, holder_of
 
 LOOK_S = 1.0
 """How often the connections are looked up."""

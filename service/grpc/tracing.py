@@ -12,7 +12,7 @@ from typing import Any
 import grpc
 import structlog
 
-from revisit.service.application.contract.tracing import (
+from revisit.service.ports.tracing import (
     RequestContext,
     Role,
     Tracer,

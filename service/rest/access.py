@@ -17,10 +17,10 @@ from starlette.routing import BaseRoute
 from revisit.api.calls import Call, Form
 from revisit.api.scopes import Scope
 from revisit.core.errors import RevisitError
-from revisit.service.application.access.admission import STREAM_RECHECK_S, Credential
-from revisit.service.application.access.callers import enter
-from revisit.service.application.capacity.call_slots import CallSlots
-from revisit.service.application.contract.errors import PermissionDenied, TooManyFailures, Unauthenticated
+from revisit.service.capacity.call_slots import CallSlots
+from revisit.service.domain.callers import enter
+from revisit.service.domain.errors import PermissionDenied, TooManyFailures, Unauthenticated
+from revisit.service.features.keys.admission import STREAM_RECHECK_S, Credential
 from revisit.service.rest.door import VOUCH
 from revisit.service.rest.event_stream import gone
 from revisit.service.rest.paths import path_of

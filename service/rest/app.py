@@ -6,11 +6,10 @@ from typing import Any
 
 from fastapi import FastAPI
 
-from revisit.service.application import UseCases
-from revisit.service.application.capacity.call_slots import CallSlots
-from revisit.service.application.capacity.in_flight import Turns
-from revisit.service.application.contract.tracing import NoTracer, Tracer
+from revisit.service.capacity.call_slots import CallSlots
+from revisit.service.capacity.in_flight import Turns
 from revisit.service.metrics import RequestMetrics
+from revisit.service.ports.tracing import NoTracer, Tracer
 from revisit.service.rest.access import describe_access, require_declared_scopes
 from revisit.service.rest.answers import describe_answers
 from revisit.service.rest.bodies import LONG_BODIES_AT_A_TIME
@@ -28,6 +27,7 @@ from revisit.service.rest.routes import clouds, downloads, events, messages, pag
 from revisit.service.rest.schemas import Problem
 from revisit.service.rest.tracing import RequestTracing
 from revisit.service.status import STATUS
+from revisit.service.use_cases import UseCases
 
 API_VERSION = "1"
 

@@ -14,10 +14,10 @@ from starlette.requests import ClientDisconnect, Request
 
 from revisit.core.errors import BadField, MalformedBody, TooLarge, UnsupportedEncoding
 from revisit.formats import MEDIA_TYPES
-from revisit.service.application.access.callers import current_tenant
-from revisit.service.application.capacity.admission import Admission
-from revisit.service.application.capacity.in_flight import Turns
-from revisit.service.application.ingest.clouds import EncodedCloud
+from revisit.service.capacity.admission import Admission
+from revisit.service.capacity.in_flight import Turns
+from revisit.service.domain.callers import current_tenant
+from revisit.service.features.ingest.clouds import EncodedCloud
 from revisit.service.rest.errors import bad_field
 from revisit.service.rest.limits import HttpLimits
 from revisit.service.rest.schemas import Request as Body

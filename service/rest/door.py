@@ -13,8 +13,8 @@ import socket
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from revisit.service.application.capacity.newcomers import Newcomers, Shown
-from revisit.service.application.contract.errors import RateLimited
+from revisit.service.capacity.newcomers import Newcomers, Shown
+from revisit.service.domain.errors import RateLimited
 from revisit.service.rest.errors import problem
 
 SHOWN_BYTES = 4096

@@ -14,9 +14,9 @@ from pydantic_core import to_json
 from starlette.types import Message, Receive, Scope, Send
 
 from revisit.core.errors import RevisitError
-from revisit.service.application.capacity.call_slots import watching
-from revisit.service.application.push.events import EventView
 from revisit.service.calls.push import event_fields
+from revisit.service.capacity.call_slots import watching
+from revisit.service.features.events.calls import EventView
 from revisit.service.rest.errors import problem
 from revisit.service.wire.json_form import json_form
 from revisit.v1 import event_pb2

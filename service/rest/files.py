@@ -7,9 +7,9 @@ from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
 from fastapi import Response
 from starlette.types import Receive, Scope, Send
 
-from revisit.service.application.capacity.byte_budget import ByteBudget
-from revisit.service.application.catalogue.downloads import Download, Room
-from revisit.service.application.contract.identity import TenantId
+from revisit.service.capacity.byte_budget import ByteBudget
+from revisit.service.domain.identity import TenantId
+from revisit.service.features.catalogue.downloads import Download, Room
 
 
 class FileInPieces(Response):

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from revisit.service.application.capacity.call_slots import CallLimits
-from revisit.service.application.capacity.slots import Share
+from revisit.service.capacity.call_slots import CallLimits
+from revisit.service.capacity.slots import Share
 
 MIB = 2**20
 

@@ -12,7 +12,7 @@ from typing import Any
 
 import uvicorn
 
-from revisit.service.application.capacity.newcomers import Newcomers
+from revisit.service.capacity.newcomers import Newcomers
 from revisit.service.rest.door import VOUCH, Arrival, Door, Voucher
 from revisit.service.rest.slow_clients import DeadlineProtocol
 

@@ -13,10 +13,10 @@ from starlette.datastructures import Headers, MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from revisit.core.errors import MalformedBody, RevisitError, TooLarge
-from revisit.service.application.access.callers import current_tenant_or_none
-from revisit.service.application.capacity.byte_budget import ByteBudget, HeldBytes
-from revisit.service.application.contract.errors import DeadlineExceeded, WorkersBusy
-from revisit.service.application.contract.identity import TenantId
+from revisit.service.capacity.byte_budget import ByteBudget, HeldBytes
+from revisit.service.domain.callers import current_tenant_or_none
+from revisit.service.domain.errors import DeadlineExceeded, WorkersBusy
+from revisit.service.domain.identity import TenantId
 from revisit.service.metrics import RequestMetrics
 from revisit.service.rest.errors import ForeignOrigin, UnknownHost, problem, unexpected
 from revisit.service.rest.limits import HttpLimits

@@ -10,14 +10,15 @@ from starlette.requests import Request
 from revisit.core.errors import BadField
 from revisit.core.geometry import se3
 from revisit.core.geometry.se3 import Matrix4
-from revisit.service.application import SessionKey, SubmapKey, TenantId, UseCases
-from revisit.service.application.access.callers import current_tenant
-from revisit.service.application.contract import limits
-from revisit.service.application.ingest.clouds import EncodedCloud
-from revisit.service.application.query.freshness import DEFAULT_WAIT_S, Freshness
-from revisit.service.application.query.search_answers import SearchCriteria
+from revisit.service.domain import limits
+from revisit.service.domain.callers import current_tenant
+from revisit.service.domain.identity import SessionKey, SubmapKey, TenantId
+from revisit.service.features.index.answers import SearchCriteria
+from revisit.service.features.ingest.clouds import EncodedCloud
+from revisit.service.features.waiting.freshness import DEFAULT_WAIT_S, Freshness
 from revisit.service.rest.bodies import cloud_body, parse_numbers
 from revisit.service.rest.schemas import IN_DIGITS, STOREY, bounds
+from revisit.service.use_cases import UseCases
 
 POSE_HELP = "x,y,z,qx,qy,qz,qw: translation in metres and unit quaternion."
 

@@ -7,12 +7,12 @@ from __future__ import annotations
 
 from typing import Any
 
-from revisit.service.application.catalogue.paging import PageRequest
-from revisit.service.application.contract import limits
-from revisit.service.application.contract.limits import Range
-from revisit.service.application.mapping.tiles import MapQuestion
-from revisit.service.application.query.freshness import DEFAULT_WAIT_S
 from revisit.service.calls.operations import DEFAULT_OPERATION_WAIT_S
+from revisit.service.domain import limits
+from revisit.service.domain.limits import Range
+from revisit.service.features.resources.paging import PageRequest
+from revisit.service.features.tiles.calls import MapQuestion
+from revisit.service.features.waiting.freshness import DEFAULT_WAIT_S
 from revisit.service.rest.schemas import DISPLAY_NAME, ID, STOREY
 
 POSE_CHARACTERS, POINT_CHARACTERS = 400, 200

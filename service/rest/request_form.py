@@ -20,7 +20,7 @@ from pydantic import Field, create_model
 
 from revisit.api.calls import Call
 from revisit.core.errors import BadField
-from revisit.service.application.contract import limits
+from revisit.service.domain import limits
 from revisit.service.rest.bodies import parse_numbers
 from revisit.service.rest.parameters import POINT_HELP, POSE_HELP, Id
 from revisit.service.rest.paths import resource_in

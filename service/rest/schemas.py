@@ -12,10 +12,10 @@ from typing import Annotated, Any, ClassVar
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 
-from revisit.service.application.contract import limits
-from revisit.service.application.contract.limits import Range
-from revisit.service.application.query.freshness import DEFAULT_WAIT_S
-from revisit.service.application.query.search_answers import SearchCriteria
+from revisit.service.domain import limits
+from revisit.service.domain.limits import Range
+from revisit.service.features.index.answers import SearchCriteria
+from revisit.service.features.waiting.freshness import DEFAULT_WAIT_S
 
 
 def bounds(of: Range) -> dict[str, Any]:

@@ -8,7 +8,7 @@ import structlog
 from starlette.datastructures import Headers
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from revisit.service.application.contract.tracing import (
+from revisit.service.ports.tracing import (
     RequestContext,
     Role,
     Tracer,

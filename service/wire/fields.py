@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from revisit.core.geometry import se3
 from revisit.core.geometry.se3 import Matrix4
-from revisit.service.application.contract.map_frames import MapPose, matrix_of
+from revisit.service.features.graph.map_frames import MapPose, matrix_of
 from revisit.v1 import geometry_pb2
 
 Fields: TypeAlias = dict[str, Any]

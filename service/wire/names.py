@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from revisit.core.errors import BadField
-from revisit.service.application import SessionKey, SubmapKey
-from revisit.service.application.contract import limits
-from revisit.service.application.contract.map_tiles import TileKey
+from revisit.service.domain import limits
+from revisit.service.domain.identity import SessionKey, SubmapKey
+from revisit.service.ports.map_tiles import TileKey
 
 
 def segments(name: str, pattern: str, field: str) -> list[str]:

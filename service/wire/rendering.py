@@ -8,7 +8,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any, TypeAlias, TypeVar
 
-from revisit.service.application.catalogue.paging import Page
+from revisit.service.features.resources.paging import Page
 from revisit.service.wire.fields import Fields
 
 T = TypeVar("T")

@@ -14,13 +14,13 @@ from revisit.core.errors import BadField, BadTransform, EmptyCloud, MalformedBod
 from revisit.core.geometry import se3
 from revisit.core.geometry.se3 import Matrix4
 from revisit.formats import POINTCLOUD2, Encoding, PackedCloud, PointField
-from revisit.service.application.catalogue.downloads import Download, DownloadKind
-from revisit.service.application.catalogue.paging import PageRequest
-from revisit.service.application.contract.identity import SessionKey
-from revisit.service.application.contract.states import EventKind
-from revisit.service.application.ingest.clouds import EncodedCloud
-from revisit.service.application.ingest.scans import AppendScan
-from revisit.service.application.query.freshness import DEFAULT_WAIT_S, Freshness
+from revisit.service.domain.identity import SessionKey
+from revisit.service.domain.states import EventKind
+from revisit.service.features.catalogue.downloads import Download, DownloadKind
+from revisit.service.features.ingest.calls import AppendScan
+from revisit.service.features.ingest.clouds import EncodedCloud
+from revisit.service.features.resources.paging import PageRequest
+from revisit.service.features.waiting.freshness import DEFAULT_WAIT_S, Freshness
 from revisit.service.wire.fields import Fields
 from revisit.v1 import cloud_pb2, event_pb2, geometry_pb2, ingest_pb2, loop_closure_pb2, map_tile_pb2, submap_pb2
 

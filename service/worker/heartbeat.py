@@ -13,12 +13,12 @@ from typing import Self
 import structlog
 
 from revisit.core.errors import RevisitError
-from revisit.service.application.contract.clock import Clock, Instant
-from revisit.service.application.contract.errors import StaleLease
-from revisit.service.application.contract.job_queue import Lease
-from revisit.service.application.contract.records import WorkerRecord
-from revisit.service.application.contract.transactions import Transactions, UnitOfWork
-from revisit.service.application.recognise.job_runner import JobRunner
+from revisit.service.domain.errors import StaleLease
+from revisit.service.domain.records import WorkerRecord
+from revisit.service.features.operations.job_runner import JobRunner
+from revisit.service.ports.clock import Clock, Instant
+from revisit.service.ports.job_queue import Lease
+from revisit.service.ports.transactions import Transactions, UnitOfWork
 
 BEATS_PER_LEASE = 5
 """So that a lease outlives four lost beats: every 2 s for a lease of 10 s."""

@@ -9,13 +9,13 @@ from dataclasses import dataclass
 
 import structlog
 
-from revisit.service.application.contract.errors import Unavailable
-from revisit.service.application.contract.job_queue import Lease
-from revisit.service.application.contract.records import JobRecord
-from revisit.service.application.contract.tracing import NoTracer, RequestContext, Role, Tracer, within_request
-from revisit.service.application.installation import Installation
-from revisit.service.application.recognise.claiming import JobClaims
-from revisit.service.application.recognise.job_runner import JobRunner
+from revisit.service.context import ServiceContext
+from revisit.service.domain.errors import Unavailable
+from revisit.service.domain.records import JobRecord
+from revisit.service.features.operations.claiming import JobClaims
+from revisit.service.features.operations.job_runner import JobRunner
+from revisit.service.ports.job_queue import Lease
+from revisit.service.ports.tracing import NoTracer, RequestContext, Role, Tracer, within_request
 from revisit.service.worker.confinement import resident_bytes
 from revisit.service.worker.free_memory import FreeMemory
 from revisit.service.worker.heartbeat import Heartbeat, WorkerIdentity
@@ -42,7 +42,7 @@ class Worker:
 
     def __init__(
         self,
-        installation: Installation,
+        context: ServiceContext,
         jobs: JobRunner,
         identity: WorkerIdentity,
         stopping: threading.Event,
@@ -50,7 +50,7 @@ class Worker:
         tracer: Tracer = NoTracer(),
     ) -> None:
         """`jobs` runs what is leased."""
-        self._claims = JobClaims(installation.transactions, installation.clock, installation.disk, identity.worker_id)
+        self._claims = JobClaims(context.transactions, context.clock, context.disk, identity.worker_id)
         self._jobs = jobs
         self._identity = identity
         self._stopping = stopping
@@ -58,9 +58,9 @@ class Worker:
         self._tracer = tracer
         self._memory = FreeMemory()
         self._heartbeat = Heartbeat(
-            installation.transactions,
-            installation.clock,
-            installation.policy.lease_ms,
+            context.transactions,
+            context.clock,
+            context.policy.lease_ms,
             jobs,
             identity,
             limits.job_timeout_s,

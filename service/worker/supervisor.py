@@ -14,10 +14,10 @@ from functools import partial
 import structlog
 
 from revisit.service import ONE_THREAD, own_python
-from revisit.service.application.contract.clock import Clock, Instant
-from revisit.service.application.contract.errors import Unavailable
-from revisit.service.application.contract.storage import Storage
-from revisit.service.application.contract.transactions import UnitOfWork
+from revisit.service.domain.errors import Unavailable
+from revisit.service.ports.clock import Clock, Instant
+from revisit.service.ports.storage import Storage
+from revisit.service.ports.transactions import UnitOfWork
 from revisit.service.worker.ends import WorkerEnd, end_of, is_innocent, out_of_memory_kills, reason_of
 
 RESPAWN_S = (0.1, 2.0)

@@ -1,4 +1,4 @@
-"""service/adapters/sql knows no engine: its statements compile for PostgreSQL and run without the SQLite package."""
+"""service/engines/sql knows no engine: its statements compile for PostgreSQL and run without the SQLite package."""
 
 from __future__ import annotations
 
@@ -11,7 +11,8 @@ from sqlalchemy import event
 from sqlalchemy.dialects import postgresql
 from sqlalchemy.schema import CreateIndex, CreateTable
 
-from revisit.service.adapters.sql import (
+from revisit.service.domain.records import TurnRecord, WorkerRecord
+from revisit.service.engines.sql import (
     access,
     blob_addresses,
     change_log,
@@ -22,15 +23,14 @@ from revisit.service.adapters.sql import (
     turns,
     worker_log,
 )
-from revisit.service.adapters.sql.turns import SqlTenantTurns
-from revisit.service.application.contract.access_ports import AuditRecord, KeyRecord
-from revisit.service.application.contract.clock import Instant
-from revisit.service.application.contract.records import TurnRecord, WorkerRecord
+from revisit.service.engines.sql.turns import SqlTenantTurns
+from revisit.service.ports.access import AuditRecord, KeyRecord
+from revisit.service.ports.clock import Instant
 from tests.contract.test_transactions import fill
 from tests.support.plain_engine import HIGHEST, PlainTransactions
 from tests.support.records import TENANT, a_job, a_map, a_submap
 
-SQL = Path(__file__).resolve().parents[2] / "service" / "adapters" / "sql"
+SQL = Path(__file__).resolve().parents[2] / "service" / "engines" / "sql"
 DIALECT = re.compile(
     r"sqlite|postgres|\bdialects?\.|pragma|rowid|insert or|on conflict|savepoint|json_|\bglob\b|exec_driver_sql",
     re.IGNORECASE,

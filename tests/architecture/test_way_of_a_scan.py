@@ -13,7 +13,14 @@ from tests.support.patience import PATIENCE_S
 ROOT = Path(__file__).resolve().parents[2]
 MOST = {
     "open": {"": 27},
-    "scan": {"service/grpc/": 3, "service/wire/": 1, "service/application/": 5, "service/adapters/": 7, "": 22},
+    "scan": {
+        "service/grpc/": 3,
+        "service/wire/": 1,
+        "service/features/": 3,
+        "service/capacity/": 3,
+        "service/engines/": 7,
+        "": 22,
+    },
     "end": {"": 9},
 }
 """Modules that each leg of a stream may cross, by folder; the last is for all."""
@@ -39,10 +46,10 @@ def test_a_scan_crosses_few_modules(crossed, leg, folder, most):
 def test_a_scan_passes_the_interceptors_the_use_case_the_blobs_and_the_database(crossed):
     modules = {name for leg, name in crossed if leg == "scan"}
     interceptors = {"service/grpc/errors.py", "service/grpc/tracing.py"}
-    assert {*interceptors, "service/application/ingest/scans.py", "service/adapters/files/blobs.py"} <= modules
-    assert any(name.startswith("service/adapters/sqlite/") for name in modules)
+    assert {*interceptors, "service/features/ingest/calls.py", "service/engines/local/files/blobs.py"} <= modules
+    assert any(name.startswith("service/engines/local/sqlite/") for name in modules)
 
 
 def test_opening_a_stream_asks_who_calls(crossed):
     opening = {name for leg, name in crossed if leg == "open"}
-    assert {"service/grpc/access.py", "service/application/access/admission.py"} <= opening
+    assert {"service/grpc/access.py", "service/features/keys/admission.py"} <= opening

@@ -1,4 +1,4 @@
-"""Files are made by service/adapters/files/disk.py and nowhere else in the service."""
+"""Files are made by service/engines/local/files/disk.py and nowhere else in the service."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import pytest
 
 from tests.support.sources import calls, modules
 
-HOME = "service/adapters/files/disk.py"
+HOME = "service/engines/local/files/disk.py"
 MAKERS = {
     "write_bytes", "write_text", "touch", "mknod", "mkstemp", "NamedTemporaryFile", "TemporaryFile", "copyfile",
     "copytree", "copy2",

@@ -12,9 +12,9 @@ from pathlib import Path
 
 import pytest
 
-from revisit.service.adapters.sqlite.migration import NEWEST_REVISION, current_revision, migrate
-from revisit.service.application import SubmapKey
-from revisit.service.application.query.search_answers import SearchCriteria
+from revisit.service.domain.identity import SubmapKey
+from revisit.service.engines.local.sqlite.migration import NEWEST_REVISION, current_revision, migrate
+from revisit.service.features.index.answers import SearchCriteria
 from tests.compatibility.write import STORES, write_store
 from tests.faults.drive import POSTED, undisturbed
 from tests.faults.history import History

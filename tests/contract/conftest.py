@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from revisit.service.adapters.sqlite.transactions import SqliteTransactions
+from revisit.service.engines.local.sqlite.transactions import SqliteTransactions
 from tests.support.made_database import made_database
 from tests.support.memory.transactions import MemoryTransactions
 from tests.support.plain_engine import PlainTransactions

@@ -7,8 +7,8 @@ import hashlib
 import pytest
 
 from revisit.core.errors import DataLoss
-from revisit.service.adapters.files.blobs import FileBlobStore
-from revisit.service.application.contract.identity import TenantId
+from revisit.service.domain.identity import TenantId
+from revisit.service.engines.local.files.blobs import FileBlobStore
 from tests.support.memory.blobs import MemoryBlobStore
 
 TENANT, OTHER = TenantId("default"), TenantId("other")
@@ -67,7 +67,7 @@ def test_a_failed_write_leaves_nothing_behind(tmp_path, monkeypatch):
     def full(descriptor):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("revisit.service.adapters.files.disk.os.fsync", full)
+    monkeypatch.setattr("revisit.service.engines.local.files.disk.os.fsync", full)
     with pytest.raises(Exception) as refused:
         blobs.put(TENANT, "cloud", b"points")
     assert refused.value.code == "STORAGE_FULL"

@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import pytest
 
-from revisit.service.application.contract.clock import Instant
-from revisit.service.application.contract.events import EventRecord, map_of
-from revisit.service.application.contract.identity import TenantId
+from revisit.service.domain.events import EventRecord, map_of
+from revisit.service.domain.identity import TenantId
+from revisit.service.ports.clock import Instant
 from tests.support.records import TENANT, a_job, a_loop, a_map, a_session, a_submap
 
 OTHER = TenantId("other")

@@ -6,10 +6,10 @@ from dataclasses import replace
 
 import pytest
 
-from revisit.service.adapters.leased_jobs import MOST_FORGIVEN
-from revisit.service.application.contract.clock import Instant
-from revisit.service.application.contract.errors import StaleLease
-from revisit.service.application.contract.identity import TenantId
+from revisit.service.domain.errors import StaleLease
+from revisit.service.domain.identity import TenantId
+from revisit.service.engines.leased_jobs import MOST_FORGIVEN
+from revisit.service.ports.clock import Instant
 from tests.support.records import TENANT, a_job
 
 LEASE_MS = 10_000

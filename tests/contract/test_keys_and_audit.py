@@ -8,13 +8,13 @@ from dataclasses import replace
 
 import pytest
 
-from revisit.service.adapters.sqlite.migration import migrate
-from revisit.service.adapters.sqlite.transactions import SqliteTransactions
-from revisit.service.application.access import audit
-from revisit.service.application.access.audit import NOTHING_BEFORE, AuditEntry, judge
-from revisit.service.application.contract.access_ports import KeyRecord
-from revisit.service.application.contract.errors import AlreadyExists, NotFound
-from revisit.service.application.contract.identity import TenantId
+from revisit.service.domain.errors import AlreadyExists, NotFound
+from revisit.service.domain.identity import TenantId
+from revisit.service.engines.local.sqlite.migration import migrate
+from revisit.service.engines.local.sqlite.transactions import SqliteTransactions
+from revisit.service.features.audit import calls as audit
+from revisit.service.features.audit.calls import NOTHING_BEFORE, AuditEntry, judge
+from revisit.service.ports.access import KeyRecord
 
 KEY = KeyRecord(TenantId("acme"), "abcdefabcdef", "robot 7", ("ingest", "query"), "0" * 64, 5, None, None)
 

@@ -18,7 +18,7 @@ from revisit.core.scan_disagreement import ScanDisagreement
 from revisit.core.submap import Submap
 from revisit.core.verification import RejectedLoop, VerifiedLoop
 from revisit.service.adapters.core_recogniser import CoreRecogniser, load_recogniser
-from revisit.service.application.contract.loop_claims import verdict_evidence
+from revisit.service.features.loops.claims import verdict_evidence
 from tests.support.fake_recogniser import FakeRecogniser
 
 CONFIG = PipelineConfig()

@@ -7,11 +7,11 @@ from dataclasses import replace
 
 import pytest
 
-from revisit.service.application.contract.errors import AlreadyExists, NotFound
-from revisit.service.application.contract.identity import TenantId
-from revisit.service.application.contract.records import WorkerRecord
-from revisit.service.application.contract.repositories import FoundSubmap
-from revisit.service.application.contract.storage import require_map
+from revisit.service.domain.errors import AlreadyExists, NotFound
+from revisit.service.domain.identity import TenantId
+from revisit.service.domain.records import WorkerRecord
+from revisit.service.ports.repositories import FoundSubmap
+from revisit.service.ports.storage import require_map
 from tests.support.plain_engine import PlainTransactions
 from tests.support.records import TENANT, a_loop, a_map, a_robot, a_scan, a_session, a_submap
 

@@ -7,9 +7,9 @@ import pytest
 
 from revisit.core.errors import BadField
 from revisit.core.index import ExactIndex, FaissIndex
-from revisit.service.adapters.files.index_files import IndexFiles
-from revisit.service.adapters.vector_index import PlaceVectorIndex
-from revisit.service.application.contract.index import IndexChange, VectorFilter
+from revisit.service.engines.local.files.index_files import IndexFiles
+from revisit.service.engines.local.vector_index import PlaceVectorIndex
+from revisit.service.ports.index import IndexChange, VectorFilter
 from tests.support.memory.vector_index import MemoryVectorIndex
 
 ANY = VectorFilter()

@@ -12,7 +12,7 @@ import grpc
 import httpx
 import pytest
 
-from revisit.service.application.ingest.submap_posting import PostSubmap
+from revisit.service.features.ingest.posting import PostSubmap
 from tests.support.live_service import LiveService, live_service
 from tests.support.patience import PATIENCE_S
 from tests.support.service_world import SESSION, TENANT, SubmapKey, cloud, open_session, pose, sqlite_world

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 
 from revisit.api.calls import CALLS
 from revisit.formats import decode_content
-from revisit.service.application.contract.limits import SUBMAP_POINTS
-from revisit.service.application.ingest.clouds import EncodedCloud, accept_cloud
 from revisit.service.calls.ingest import submap_to_post
+from revisit.service.domain.limits import SUBMAP_POINTS
+from revisit.service.features.ingest.clouds import EncodedCloud, accept_cloud
 from revisit.service.grpc.errors import _parse
 from revisit.service.rest.bodies import parse_json
 from revisit.service.rest.limits import HttpLimits

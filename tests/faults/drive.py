@@ -17,18 +17,18 @@ from dataclasses import replace
 from pathlib import Path
 
 from revisit.core.index import FaissIndex
-from revisit.service.adapters.files.index_files import IndexFiles
-from revisit.service.adapters.sqlite.migration import migrate
-from revisit.service.adapters.vector_index import PlaceVectorIndex
-from revisit.service.application import SessionKey, SubmapKey
-from revisit.service.application.catalogue.downloads import DownloadKind
-from revisit.service.application.catalogue.paging import PageRequest
-from revisit.service.application.contract.errors import NotFound, SessionFinished
-from revisit.service.application.contract.states import OperationKind
-from revisit.service.application.contract.transactions import UnitOfWork
-from revisit.service.application.housekeeping.index_keeping import IndexHealth
-from revisit.service.application.mapping.map_jobs import post_map_job
-from revisit.service.application.mapping.merges import MergeMap
+from revisit.service.domain.errors import NotFound, SessionFinished
+from revisit.service.domain.identity import SessionKey, SubmapKey
+from revisit.service.domain.states import OperationKind
+from revisit.service.engines.local.files.index_files import IndexFiles
+from revisit.service.engines.local.sqlite.migration import migrate
+from revisit.service.engines.local.vector_index import PlaceVectorIndex
+from revisit.service.features.catalogue.downloads import DownloadKind
+from revisit.service.features.graph.map_jobs import post_map_job
+from revisit.service.features.index.keeping import IndexHealth
+from revisit.service.features.merging.calls import MergeMap
+from revisit.service.features.resources.paging import PageRequest
+from revisit.service.ports.transactions import UnitOfWork
 from tests.faults.history import History, Kind, Outcome
 from tests.support.fake_merger import EasyMerger
 from tests.support.fake_recogniser import CANNOT_BE_DESCRIBED

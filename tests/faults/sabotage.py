@@ -40,8 +40,8 @@ PACE = "tests/contract/api/test_api_pace.py::"
 DELETION = "tests/contract/api/test_api_session_deletion.py::"
 
 SERVICE = "revisit.service."
-ADAPTERS = "revisit.service.adapters."
-USE_CASES = "revisit.service.application."
+ENGINES = "revisit.service.engines."
+LOCAL = "revisit.service.engines.local."
 
 Patch = Callable[[Any], Any]
 
@@ -216,21 +216,21 @@ class DoesNotFit(AssertionError):
 SABOTAGES = (
     Sabotage(
         "a commit does not wait for the disk",
-        {f"{ADAPTERS}sqlite.connections:WRITER_PRAGMAS": lambda pragmas: {**pragmas, "synchronous": 1}},
+        {f"{LOCAL}sqlite.connections:WRITER_PRAGMAS": lambda pragmas: {**pragmas, "synchronous": 1}},
         POWER_CUT,
     ),
     Sabotage(
         "the client is told before the commit",
         {
-            f"{ADAPTERS}sqlite.transactions:_attempt": _tell_at_once,
-            f"{ADAPTERS}sqlite.transactions:_Outcome.tell": _tell_once,
+            f"{LOCAL}sqlite.transactions:_attempt": _tell_at_once,
+            f"{LOCAL}sqlite.transactions:_Outcome.tell": _tell_once,
         },
         f"{CRASH}test_an_undisturbed_drive_leaves_nothing_to_complain_about",
     ),
     Sabotage(
         "a query does not wait for what it must rest on",
         {
-            f"{USE_CASES}query.freshness:Freshness.validated": lambda validated: (
+            f"{SERVICE}features.waiting.freshness:Freshness.validated": lambda validated: (
                 lambda wanted: replace(validated(wanted), min_seq=0)
             )
         },
@@ -239,22 +239,22 @@ SABOTAGES = (
     Sabotage("a blob is not synced", {"os:fsync": _skip_files}, POWER_CUT),
     Sabotage(
         "the directory of a blob is not synced",
-        {f"{ADAPTERS}files.disk:durable_write": _skip_directory},
+        {f"{LOCAL}files.disk:durable_write": _skip_directory},
         POWER_CUT,
     ),
     Sabotage(
         "a described submap does not enter the index",
-        {f"{ADAPTERS}sql.change_log:SqlChangeLog.record_described": nothing},
+        {f"{ENGINES}sql.change_log:SqlChangeLog.record_described": nothing},
         f"{CRASH}test_an_undisturbed_drive_leaves_nothing_to_complain_about",
     ),
     Sabotage(
         "a repeated request runs its job again",
-        {f"{USE_CASES}ingest.submap_posting:SubmapPosting.post": _run_again},
+        {f"{SERVICE}features.ingest.posting:SubmapPosting.post": _run_again},
         f"{CRASH}test_a_drive_that_is_repeated_runs_none_of_its_jobs_again",
     ),
     Sabotage(
         "other content is taken under a used id",
-        {f"{USE_CASES}ingest.submap_posting:content_hash": lambda _hash: lambda _content: "the same"},
+        {f"{SERVICE}features.ingest.posting:content_hash": lambda _hash: lambda _content: "the same"},
         "tests/integration/test_use_cases.py::"
         "test_a_repeated_post_gives_the_first_answer_and_another_content_is_refused",
         quick=True,
@@ -266,25 +266,25 @@ SABOTAGES = (
     ),
     Sabotage(
         "a late result is taken",
-        {f"{ADAPTERS}leased_jobs:LeasedJobs._held": _newest_lease},
+        {f"{ENGINES}leased_jobs:LeasedJobs._held": _newest_lease},
         f"{QUEUE}test_a_late_result_is_refused_by_its_token",
         quick=True,
     ),
     Sabotage(
         "the attempt is counted after the run",
-        {f"{ADAPTERS}leased_jobs:LeasedJobs.claim": _uncounted},
+        {f"{ENGINES}leased_jobs:LeasedJobs.claim": _uncounted},
         f"{QUEUE}test_the_attempt_is_counted_before_the_run",
     ),
     Sabotage(
         "a tenant sees the rows of others",
-        {f"{ADAPTERS}sql.repositories:of_tenant": lambda _of_tenant: lambda _tenant, equals: dict(equals)},
+        {f"{ENGINES}sql.repositories:of_tenant": lambda _of_tenant: lambda _tenant, equals: dict(equals)},
         "tests/contract/test_transactions.py::test_find_filters_pages_and_keeps_the_tenant",
         quick=True,
     ),
     Sabotage(
         "any number of hits may be asked for",
         {
-            f"{USE_CASES}query.search_answers:validated_criteria": lambda validated: (
+            f"{SERVICE}features.index.answers:validated_criteria": lambda validated: (
                 lambda criteria: validated(replace(criteria, k=min(criteria.k, 1))) and criteria
             )
         },
@@ -298,7 +298,7 @@ SABOTAGES = (
     Sabotage(
         "a gap in a stream is taken",
         {
-            f"{USE_CASES}ingest.scans:_is_replay": partial(
+            f"{SERVICE}features.ingest.calls:_is_replay": partial(
                 _suppressing, error="SequenceGap", otherwise=lambda _session, _seq: False
             )
         },
@@ -307,7 +307,7 @@ SABOTAGES = (
     Sabotage(
         "a damaged file is served",
         {
-            f"{ADAPTERS}files.blobs:read_verified": partial(
+            f"{LOCAL}files.blobs:read_verified": partial(
                 _suppressing, error="BlobDamaged", otherwise=lambda path: path.read_bytes()
             )
         },
@@ -315,13 +315,13 @@ SABOTAGES = (
     ),
     Sabotage(
         "after a failed sync the service goes on",
-        {f"{ADAPTERS}files.disk:FailStop.require_sound": nothing},
+        {f"{LOCAL}files.disk:FailStop.require_sound": nothing},
         "tests/integration/test_failing_disk.py::"
         "test_after_a_failed_sync_nothing_is_written_even_if_the_disk_seems_well_again",
     ),
     Sabotage(
         "a key that has expired opens",
-        {f"{USE_CASES}access.api_keys:caller_of_key": _never_expires},
+        {f"{SERVICE}features.keys.calls:caller_of_key": _never_expires},
         "tests/contract/api/test_api_keys.py::test_an_expired_and_a_revoked_key_say_so_to_their_holder_only",
     ),
     Sabotage(
@@ -337,14 +337,14 @@ SABOTAGES = (
     Sabotage(
         "what is deleted stays in the index",
         {
-            f"{ADAPTERS}sql.change_log:SqlChangeLog.record_session_removed": nothing,
+            f"{ENGINES}sql.change_log:SqlChangeLog.record_session_removed": nothing,
             "tests.support.memory.repositories:MemoryChangeLog.record_session_removed": nothing,
         },
         f"{DELETION}test_a_deleted_session_takes_its_submaps_and_loops_and_nothing_else",
     ),
     Sabotage(
         "the jobs of what is deleted keep their places",
-        {f"{USE_CASES}catalogue.erasure:drop_jobs": nothing},
+        {f"{SERVICE}features.deletion.erasure:drop_jobs": nothing},
         f"{DELETION}test_the_waiting_jobs_of_a_deleted_session_are_dropped_at_once",
     ),
     Sabotage(
@@ -359,17 +359,17 @@ SABOTAGES = (
     ),
     Sabotage(
         "a key may watch loop closures as often as it likes",
-        {f"{USE_CASES}capacity.call_slots:CallSlots.hold": _no_slot},
+        {f"{SERVICE}capacity.call_slots:CallSlots.hold": _no_slot},
         f"{PLACES}test_whoever_watches_keeps_no_other_tenant_out[greedy-32]",
     ),
     Sabotage(
         "two tenants may hold all that there is",
-        {f"{USE_CASES}capacity.slots:Share.beside": lambda _beside: lambda share, others: share.most - others},
+        {f"{SERVICE}capacity.slots:Share.beside": lambda _beside: lambda share, others: share.most - others},
         f"{WAITS}test_two_tenants_that_wait_as_often_as_they_can_keep_no_third_one_out[grpc]",
     ),
     Sabotage(
         "a wait goes on when its client has left",
-        {f"{USE_CASES}capacity.call_slots:Wait.abandon": nothing},
+        {f"{SERVICE}capacity.call_slots:Wait.abandon": nothing},
         f"{WAITS}test_a_wait_whose_client_has_left_ends[rest]",
     ),
     Sabotage(
@@ -389,27 +389,27 @@ SABOTAGES = (
     ),
     Sabotage(
         "the bytes in flight are not bounded",
-        {f"{USE_CASES}capacity.byte_budget:ByteBudget.has_room": lambda _has_room: lambda *_arguments: True},
+        {f"{SERVICE}capacity.byte_budget:ByteBudget.has_room": lambda _has_room: lambda *_arguments: True},
         f"{LIMITS}test_bodies_beyond_what_all_together_may_take_are_refused_until_later",
     ),
     Sabotage(
         "who asks first is served first, whoever it is",
-        {f"{USE_CASES}capacity.in_flight:Turns.__init__": _one_line},
+        {f"{SERVICE}capacity.in_flight:Turns.__init__": _one_line},
         "tests/unit/service/test_turns.py::test_tenants_take_turns_and_each_keeps_its_own_order",
     ),
     Sabotage(
         "a refused cloud costs nothing",
-        {f"{USE_CASES}ingest.clouds:reading_points": lambda _points: lambda _cloud: 0},
+        {f"{SERVICE}features.ingest.clouds:reading_points": lambda _points: lambda _cloud: 0},
         f"{QUOTA}test_a_compressed_cloud_that_is_refused_costs_what_it_may_have_been_unpacked_to",
     ),
     Sabotage(
         "a list costs nothing",
-        {f"{USE_CASES}catalogue.paging:ROW_POINTS": lambda _points: 0},
+        {f"{SERVICE}features.resources.paging:ROW_POINTS": lambda _points: 0},
         f"{QUOTA}test_a_list_costs_by_the_row",
     ),
     Sabotage(
         "refused JSON costs nothing",
-        {f"{USE_CASES}capacity.admission:Admission.charge_call": nothing},
+        {f"{SERVICE}capacity.admission:Admission.charge_call": nothing},
         f"{QUOTA}test_json_costs_by_the_byte_refused_or_not",
     ),
     Sabotage(
@@ -419,50 +419,50 @@ SABOTAGES = (
     ),
     Sabotage(
         "a key may begin any number of calls at once",
-        {f"{USE_CASES}capacity.call_pace:CallPace._wait": _comes_at_once},
+        {f"{SERVICE}capacity.call_pace:CallPace._wait": _comes_at_once},
         "tests/unit/service/test_call_pace.py::test_a_burst_waits_for_nothing_and_what_follows_comes_at_the_rate",
         quick=True,
     ),
     Sabotage(
         "calls do not wait for their turn",
-        {f"{USE_CASES}capacity.call_pace:CallPace.turn": _comes_at_once},
+        {f"{SERVICE}capacity.call_pace:CallPace.turn": _comes_at_once},
         f"{PACE}test_a_key_that_begins_too_many_calls_waits_and_another_does_not[rest]",
     ),
     Sabotage(
         "beside others a tenant has any number of clouds under way",
-        {f"{USE_CASES}capacity.in_flight:InFlight._let_others_in": _comes_at_once},
+        {f"{SERVICE}capacity.in_flight:InFlight._let_others_in": _comes_at_once},
         "tests/unit/service/test_in_flight.py::test_beside_others_a_tenant_has_few_clouds_under_way",
         quick=True,
     ),
     Sabotage(
         "a body that is refused unread costs nothing",
-        {f"{USE_CASES}capacity.call_pace:CallPace.note_unread": nothing},
+        {f"{SERVICE}capacity.call_pace:CallPace.note_unread": nothing},
         f"{PACE}test_a_body_that_is_refused_unread_makes_further_calls_wait",
     ),
     Sabotage(
         "JSON that is read counts as a call, however long it is",
-        {f"{USE_CASES}capacity.call_pace:CallPace.note_json": nothing},
+        {f"{SERVICE}capacity.call_pace:CallPace.note_json": nothing},
         f"{PACE}test_long_json_makes_further_calls_wait_whether_it_is_good_or_not",
     ),
     Sabotage(
         "strangers are refused as fast as they ask",
-        {f"{USE_CASES}capacity.call_pace:CallPace.refusal": _comes_at_once},
+        {f"{SERVICE}capacity.call_pace:CallPace.refusal": _comes_at_once},
         f"{PACE}test_a_stranger_that_is_refused_too_often_waits[rest]",
     ),
     Sabotage(
         "everyone who watches looks at the log",
-        {f"{USE_CASES}query.glance:Glance._look": lambda _look: lambda glance: glance._read_tail()},
+        {f"{SERVICE}features.waiting.event_tail:EventTail._look": lambda _look: lambda glance: glance._read_tail()},
         "tests/unit/service/test_glance.py::test_many_who_watch_cause_one_look_at_a_time",
         quick=True,
     ),
     Sabotage(
         "everyone who waits looks for the own operation",
-        {f"{USE_CASES}query.shared_looks:SharedLooks.has_come": _alone},
+        {f"{SERVICE}features.waiting.shared_poll:SharedPoll.has_come": _alone},
         "tests/unit/service/test_shared_looks.py::test_all_that_wait_beside_one_key_are_told_by_one_read",
     ),
     Sabotage(
         "a page token is good for every tenant",
-        {f"{USE_CASES}catalogue.paging:PageTokens._hash": _for_every_tenant},
+        {f"{SERVICE}features.resources.paging:PageTokens._hash": _for_every_tenant},
         "tests/integration/test_page_tokens.py::test_a_token_of_another_tenant_or_another_service_is_refused",
     ),
     Sabotage(
@@ -509,7 +509,7 @@ SABOTAGES = (
     Sabotage(
         "a tenant has as many lists read at once as it likes",
         {
-            f"{USE_CASES}capacity.in_flight:Turns.__init__": lambda init: (
+            f"{SERVICE}capacity.in_flight:Turns.__init__": lambda init: (
                 lambda turns, _places, of_tenant=None: init(turns, 99)
             )
         },
@@ -518,17 +518,17 @@ SABOTAGES = (
     ),
     Sabotage(
         "newcomers of one address are not bounded",
-        {f"{USE_CASES}capacity.newcomers:Newcomers.arrive": lambda _arrive: lambda *_arguments: _settled},
+        {f"{SERVICE}capacity.newcomers:Newcomers.arrive": lambda _arrive: lambda *_arguments: _settled},
         f"{LIMITS}test_newcomers_of_one_address_give_way_to_one_another_and_to_nobody_else",
     ),
     Sabotage(
         "connections of one address may begin as fast as they like",
-        {f"{USE_CASES}capacity.newcomers:Newcomers.may_begin": lambda _begins: lambda *_arguments: True},
+        {f"{SERVICE}capacity.newcomers:Newcomers.may_begin": lambda _begins: lambda *_arguments: True},
         f"{LIMITS}test_connections_without_a_credential_begin_at_a_pace_and_further_ones_are_sent_away_with_an_answer",
     ),
     Sabotage(
         "calls without a credential do not wait for their turn",
-        {f"{USE_CASES}capacity.call_pace:CallPace.public": _comes_at_once},
+        {f"{SERVICE}capacity.call_pace:CallPace.public": _comes_at_once},
         f"{PACE}test_pages_without_a_key_come_at_a_pace_and_health_is_told_beyond_it",
     ),
     Sabotage(
@@ -549,38 +549,38 @@ SABOTAGES = (
     ),
     Sabotage(
         "the log is never folded back",
-        {f"{ADAPTERS}sqlite.checkpoints:Checkpoints.tend": nothing},
+        {f"{LOCAL}sqlite.checkpoints:Checkpoints.tend": nothing},
         "tests/integration/test_log_is_folded_back.py::test_a_log_that_only_workers_write_stays_short",
     ),
     Sabotage(
         "a tenant stores as much as it likes",
-        {f"{USE_CASES}capacity.storage_quota:StorageQuota._reached": lambda _reached: lambda *_arguments: False},
+        {f"{SERVICE}capacity.storage_quota:StorageQuota._reached": lambda _reached: lambda *_arguments: False},
         "tests/contract/api/test_api_storage_quota.py::test_scans_count_and_what_another_tenant_has_does_not",
     ),
     Sabotage(
         "a run that was cut short counts",
-        {f"{ADAPTERS}leased_jobs:LeasedJobs.forgive": lambda _forgive: lambda _queue: 0},
+        {f"{ENGINES}leased_jobs:LeasedJobs.forgive": lambda _forgive: lambda _queue: 0},
         f"{QUEUE}test_a_service_that_starts_again_forgives_the_runs_that_were_under_way_once",
     ),
     Sabotage(
         "jobs cost their tenant nothing",
-        {f"{ADAPTERS}fair_turns:FairTurns.end": nothing},
+        {f"{ENGINES}fair_turns:FairTurns.end": nothing},
         f"{QUEUE}test_tenants_share_the_time_of_the_workers_not_their_number_of_jobs",
     ),
     Sabotage(
         "two gateways serve one data folder",
-        {f"{ADAPTERS}files.home_lock:try_lock": lambda _try: lambda _descriptor: True},
+        {f"{LOCAL}files.home_lock:try_lock": lambda _try: lambda _descriptor: True},
         "tests/integration/test_one_gateway.py::"
         "test_a_second_gateway_on_one_data_folder_is_refused_and_the_first_goes_on",
     ),
     Sabotage(
         "two backups fill one folder",
-        {f"{ADAPTERS}sqlite.backup:try_lock": lambda _try: lambda _descriptor: True},
+        {f"{LOCAL}sqlite.backup:try_lock": lambda _try: lambda _descriptor: True},
         "tests/integration/test_backup.py::test_of_two_backups_into_one_folder_at_once_one_is_refused",
     ),
     Sabotage(
         "a window of any number of points is loaded whole",
-        {f"{USE_CASES}ingest.submap_source:chosen_scans": lambda _chosen: lambda positions, *_: range(len(positions))},
+        {f"{SERVICE}features.ingest.rows:chosen_scans": lambda _chosen: lambda positions, *_: range(len(positions))},
         "tests/unit/service/test_submap_source.py::"
         "test_a_window_of_many_large_scans_takes_a_worker_the_memory_of_a_dozen[slow]",
     ),

@@ -12,19 +12,19 @@ from pathlib import Path
 from sqlalchemy import Connection, Engine
 
 from revisit.core.errors import DataLoss
-from revisit.service.adapters.files.blobs import FileBlobStore
-from revisit.service.adapters.sql.unit_of_work import SqlUnitOfWork
-from revisit.service.adapters.sqlite.connections import writer_engine
-from revisit.service.adapters.sqlite.engine import SqliteEngine
-from revisit.service.application.catalogue.blob_references import blobs_of_submap
-from revisit.service.application.contract.blobs import CLOUD_BLOB, MAP_LAYOUT_BLOB, TILE_BLOB, BlobStore
-from revisit.service.application.contract.identity import TenantId
-from revisit.service.application.contract.index import IndexChange
-from revisit.service.application.contract.records import JobRecord, MapRecord, ScanRecord, SessionRecord, SubmapRecord
-from revisit.service.application.contract.session_poses import unpack_loops
-from revisit.service.application.contract.transactions import UnitOfWork
-from revisit.service.application.ingest.clouds import unpack_cloud
-from revisit.service.application.mapping.loop_events import LoopStanding
+from revisit.service.domain.identity import TenantId
+from revisit.service.domain.records import JobRecord, MapRecord, ScanRecord, SessionRecord, SubmapRecord
+from revisit.service.engines.local.files.blobs import FileBlobStore
+from revisit.service.engines.local.sqlite.connections import writer_engine
+from revisit.service.engines.local.sqlite.engine import SqliteEngine
+from revisit.service.engines.sql.unit_of_work import SqlUnitOfWork
+from revisit.service.features.deletion.blob_references import blobs_of_submap
+from revisit.service.features.graph.session_poses import unpack_loops
+from revisit.service.features.ingest.clouds import unpack_cloud
+from revisit.service.features.loops.rows import LoopStanding
+from revisit.service.ports.blobs import CLOUD_BLOB, MAP_LAYOUT_BLOB, TILE_BLOB, BlobStore
+from revisit.service.ports.index import IndexChange
+from revisit.service.ports.transactions import UnitOfWork
 from tests.faults.history import History, Stored, sequence_violations, violations
 from tests.support.records import TENANT
 

@@ -9,11 +9,11 @@ from pathlib import Path
 import pytest
 
 from revisit.core.errors import DataLoss
-from revisit.service.adapters.files.blobs import FileBlobStore
-from revisit.service.application import SubmapKey
-from revisit.service.application.catalogue.blob_references import blobs_of_submap
-from revisit.service.application.catalogue.downloads import DownloadKind
-from revisit.service.application.contract.blobs import CLOUD_BLOB, NEURAL_MAP_BLOB
+from revisit.service.domain.identity import SubmapKey
+from revisit.service.engines.local.files.blobs import FileBlobStore
+from revisit.service.features.catalogue.downloads import DownloadKind
+from revisit.service.features.deletion.blob_references import blobs_of_submap
+from revisit.service.ports.blobs import CLOUD_BLOB, NEURAL_MAP_BLOB
 from tests.support.campaigns import Campaign, sizes
 from tests.support.service_world import SESSION, TENANT, World, open_session, sqlite_world, submap
 

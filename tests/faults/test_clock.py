@@ -26,9 +26,9 @@ JUMPS = {
     "frozen": (0,),
 }
 READS_THE_WALL_CLOCK = {
-    "service/adapters/clock.py": "labels: when something was created or finished",
-    "service/adapters/sqlite/backup.py": "a label of the backup",
-    "service/adapters/files/blobs.py": "the age of files that no row names; what a row names is kept whatever its age",
+    "service/engines/local/clock.py": "labels: when something was created or finished",
+    "service/engines/local/sqlite/backup.py": "a label of the backup",
+    "service/engines/local/files/blobs.py": "the age of files without a row; a file with a row is kept at any age",
 }
 
 

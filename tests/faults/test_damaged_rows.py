@@ -16,14 +16,14 @@ import pytest
 
 from revisit.core.errors import DataLoss
 from revisit.core.index import FaissIndex
-from revisit.service.adapters.sqlite import migration
-from revisit.service.adapters.sqlite.backup import make_backup, restore_backup
-from revisit.service.adapters.sqlite.backup_key import own_key
-from revisit.service.adapters.sqlite.examination import examine, scrub
-from revisit.service.adapters.sqlite.row_checksums import damaged_rows
-from revisit.service.adapters.vector_index import PlaceVectorIndex
-from revisit.service.application.catalogue.paging import PageRequest
-from revisit.service.application.query.place_memory import PlaceMemory, SearchCriteria
+from revisit.service.engines.local.sqlite import migration
+from revisit.service.engines.local.sqlite.backup import make_backup, restore_backup
+from revisit.service.engines.local.sqlite.backup_key import own_key
+from revisit.service.engines.local.sqlite.examination import examine, scrub
+from revisit.service.engines.local.sqlite.row_checksums import damaged_rows
+from revisit.service.engines.local.vector_index import PlaceVectorIndex
+from revisit.service.features.index.place_memory import PlaceMemory, SearchCriteria
+from revisit.service.features.resources.paging import PageRequest
 from tests.faults.drive import undisturbed
 from tests.support.figures import publish
 from tests.support.next_migration import NEXT_REVISION, migrations_with_a_next_step

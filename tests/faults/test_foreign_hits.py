@@ -10,9 +10,8 @@ import numpy as np
 import pytest
 
 from revisit.core.errors import RevisitError
-from revisit.service.application import SubmapKey
-from revisit.service.application.contract.identity import TenantId
-from revisit.service.application.query.search_answers import SearchCriteria
+from revisit.service.domain.identity import SubmapKey, TenantId
+from revisit.service.features.index.answers import SearchCriteria
 from tests.support.campaigns import Campaign, sizes
 from tests.support.fake_recogniser import BINS
 from tests.support.service_world import SESSION, World, open_session, sqlite_world, submap

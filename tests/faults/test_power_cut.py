@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from revisit.service.adapters.sqlite.migration import migrate
+from revisit.service.engines.local.sqlite.migration import migrate
 from tests.faults.history import History
 from tests.faults.power_cut import Disk, Recording, Step, can_record, crash_states, python_program, record
 from tests.faults.survey import survey

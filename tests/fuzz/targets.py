@@ -19,9 +19,9 @@ from revisit.core.errors import DataLoss, RevisitError
 from revisit.core.place import Place
 from revisit.core.scan import validate_cloud
 from revisit.formats import MEDIA_TYPES, CloudLimits, PackedCloud, decode_cloud, decode_content
-from revisit.service.application.catalogue.paging import PageTokens
-from revisit.service.application.contract.identity import DEFAULT_TENANT
-from revisit.service.application.ingest.clouds import unpack_cloud
+from revisit.service.domain.identity import DEFAULT_TENANT
+from revisit.service.features.ingest.clouds import unpack_cloud
+from revisit.service.features.resources.paging import PageTokens
 from revisit.service.rest.bodies import parse_json
 from revisit.service.rest.limits import HttpLimits
 from revisit.service.rest.request_form import form_of

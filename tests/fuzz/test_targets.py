@@ -17,7 +17,7 @@ from revisit.core.codec import place as place_form
 from revisit.core.codec.mesh import Mesh, pack_mesh
 from revisit.core.errors import DataLoss
 from revisit.formats import MEDIA_TYPES, QUANTISED
-from revisit.service.application.ingest.clouds import StoredCloud, pack_cloud
+from revisit.service.features.ingest.clouds import StoredCloud, pack_cloud
 from tests.fuzz.targets import DIGEST_BYTES, FILES, TARGETS, refusing
 from tests.support.campaigns import Campaign
 from tests.support.cloud_files import records, valid_files

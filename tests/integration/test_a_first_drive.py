@@ -6,12 +6,13 @@ from dataclasses import replace
 
 import pytest
 
-from revisit.service.application import Policy, UseCases
-from revisit.service.application.catalogue.maps import CreateMap
-from revisit.service.application.catalogue.paging import PageRequest
-from revisit.service.application.catalogue.sessions import CreateSession
-from revisit.service.application.contract.states import LoopState
-from revisit.service.application.ingest.scans import AppendScan
+from revisit.service.domain.policy import Policy
+from revisit.service.domain.states import LoopState
+from revisit.service.features.catalogue.maps import CreateMap
+from revisit.service.features.catalogue.sessions import CreateSession
+from revisit.service.features.ingest.calls import AppendScan
+from revisit.service.features.resources.paging import PageRequest
+from revisit.service.use_cases import UseCases
 from tests.support.service_world import SESSION, TENANT, World, cloud, memory_world, pose
 
 

@@ -17,13 +17,13 @@ from typer.testing import CliRunner
 
 from revisit.cli.app import app
 from revisit.core.errors import DataLoss
-from revisit.service.adapters.files.secret_files import keep_secret, read_secret
-from revisit.service.adapters.sqlite import backup
-from revisit.service.adapters.sqlite.backup import BackupRefused, make_backup, restore_backup
-from revisit.service.adapters.sqlite.backup_key import KEY_FILE, own_key
-from revisit.service.adapters.sqlite.examination import examine, scrub
-from revisit.service.application.catalogue.downloads import DownloadKind
-from revisit.service.application.contract.blobs import PLACE_BLOB
+from revisit.service.engines.local.files.secret_files import keep_secret, read_secret
+from revisit.service.engines.local.sqlite import backup
+from revisit.service.engines.local.sqlite.backup import BackupRefused, make_backup, restore_backup
+from revisit.service.engines.local.sqlite.backup_key import KEY_FILE, own_key
+from revisit.service.engines.local.sqlite.examination import examine, scrub
+from revisit.service.features.catalogue.downloads import DownloadKind
+from revisit.service.ports.blobs import PLACE_BLOB
 from tests.support.patience import PATIENCE_S
 from tests.support.service_world import TENANT, answered, open_session, sqlite_world, submap
 

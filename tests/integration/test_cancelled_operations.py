@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from revisit.service.application.mapping.merges import MergeMap
+from revisit.service.features.merging.calls import MergeMap
 from tests.support.fake_merger import FakeMerger
 from tests.support.fleet_in_service import fleet_in, fleet_in_two
 from tests.support.service_world import TENANT, memory_world

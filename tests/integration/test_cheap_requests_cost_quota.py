@@ -13,16 +13,16 @@ import pytest
 
 from revisit.core.errors import MalformedBody, UnsupportedEncoding
 from revisit.formats import PLY
-from revisit.service.application import UseCases
-from revisit.service.application.capacity.in_flight import CapacityLimits, InFlight
-from revisit.service.application.catalogue import downloads
-from revisit.service.application.catalogue.downloads import DownloadKind
-from revisit.service.application.catalogue.maps import CreateMap
-from revisit.service.application.catalogue.paging import Page, PageRequest
-from revisit.service.application.catalogue.robots import CreateRobot
-from revisit.service.application.catalogue.sessions import CreateSession
-from revisit.service.application.contract.errors import NotFound, RateLimited
-from revisit.service.application.ingest.clouds import EncodedCloud
+from revisit.service.capacity.in_flight import CapacityLimits, InFlight
+from revisit.service.domain.errors import NotFound, RateLimited
+from revisit.service.features.catalogue import downloads
+from revisit.service.features.catalogue.downloads import DownloadKind
+from revisit.service.features.catalogue.maps import CreateMap
+from revisit.service.features.catalogue.robots import CreateRobot
+from revisit.service.features.catalogue.sessions import CreateSession
+from revisit.service.features.ingest.clouds import EncodedCloud
+from revisit.service.features.resources.paging import Page, PageRequest
+from revisit.service.use_cases import UseCases
 from tests.support.live_service import live_service
 from tests.support.service_world import SESSION, TENANT, World, described, memory_world, posted, submap
 

@@ -6,8 +6,8 @@ import asyncio
 
 import httpx
 
-from revisit.service.application.access.api_keys import CreateKey
 from revisit.service.composition import offline_use_cases
+from revisit.service.features.keys.calls import CreateKey
 from revisit.service.settings import Settings
 from tests.support.processes import ServiceProcess
 

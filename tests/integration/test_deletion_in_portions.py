@@ -12,15 +12,15 @@ from dataclasses import replace
 import pytest
 
 from revisit.core.index import FaissIndex
-from revisit.service.adapters.sqlite.transactions import SqliteTransactions
-from revisit.service.adapters.vector_index import PlaceVectorIndex
-from revisit.service.application import SessionKey
-from revisit.service.application.catalogue import erasure
-from revisit.service.application.catalogue.maps import CreateMap
-from revisit.service.application.catalogue.paging import PageRequest
-from revisit.service.application.catalogue.sessions import CreateSession
-from revisit.service.application.contract.errors import NotFound, StillDeleting
-from revisit.service.application.housekeeping.index_keeping import IndexHealth
+from revisit.service.domain.errors import NotFound, StillDeleting
+from revisit.service.domain.identity import SessionKey
+from revisit.service.engines.local.sqlite.transactions import SqliteTransactions
+from revisit.service.engines.local.vector_index import PlaceVectorIndex
+from revisit.service.features.catalogue.maps import CreateMap
+from revisit.service.features.catalogue.sessions import CreateSession
+from revisit.service.features.deletion import erasure
+from revisit.service.features.index.keeping import IndexHealth
+from revisit.service.features.resources.paging import PageRequest
 from tests.support.records import a_scan
 from tests.support.service_world import (
     SESSION,

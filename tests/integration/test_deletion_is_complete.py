@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from revisit.service.application.catalogue.blob_references import blobs_of_submap
+from revisit.service.features.deletion.blob_references import blobs_of_submap
 from tests.support.service_world import SESSION, TENANT, described, sqlite_world, submap
 
 

@@ -10,11 +10,11 @@ import structlog
 
 from revisit.core.pose_graph import Node
 from revisit.service.adapters.core_map_optimiser import CoreMapOptimiser
-from revisit.service.application.contract.identity import SessionKey
-from revisit.service.application.contract.policy import Policy
-from revisit.service.application.contract.states import LoopEventKind
-from revisit.service.application.mapping.early_corrections import MOST_AT_ONCE, MOST_WAITING, EarlyCorrections
-from revisit.service.application.mapping.loop_events import Change, add_loop
+from revisit.service.domain.identity import SessionKey
+from revisit.service.domain.policy import Policy
+from revisit.service.domain.states import LoopEventKind
+from revisit.service.features.corrections.job import MOST_AT_ONCE, MOST_WAITING, EarlyCorrections
+from revisit.service.features.loops.rows import Change, add_loop
 from tests.support.fleet_in_service import fleet_in, loop_record
 from tests.support.made_up_fleet import random_motion
 from tests.support.records import a_job

@@ -8,9 +8,9 @@ import numpy as np
 
 from revisit.core.config import PipelineConfig
 from revisit.core.geometry import se3
-from revisit.service.application import SessionKey
-from revisit.service.application.catalogue.paging import PageRequest
-from revisit.service.application.catalogue.sessions import CreateSession
+from revisit.service.domain.identity import SessionKey
+from revisit.service.features.catalogue.sessions import CreateSession
+from revisit.service.features.resources.paging import PageRequest
 from tests.support.fake_recogniser import FakeRecogniser
 from tests.support.service_world import SESSION, TENANT, memory_world, open_session, submap
 from tests.support.verdicts import rejected, verified

@@ -13,10 +13,10 @@ from revisit import Client, Cloud
 from revisit.formats import KITTI, encode_kitti
 from revisit.sdk.errors import Unavailable
 from revisit.sdk.retry import RetryPolicy
-from revisit.service.adapters.files.blobs import FileBlobStore
-from revisit.service.adapters.files.disk import FailStop
-from revisit.service.application.contract.errors import StorageUncertain
-from revisit.service.application.contract.identity import TenantId
+from revisit.service.domain.errors import StorageUncertain
+from revisit.service.domain.identity import TenantId
+from revisit.service.engines.local.files.blobs import FileBlobStore
+from revisit.service.engines.local.files.disk import FailStop
 from revisit.service.gateway import FAIL_STOP_S
 from tests.support.campaigns import Campaign, sizes
 from tests.support.patience import PATIENCE_S, in_time
@@ -117,7 +117,7 @@ def test_after_a_failed_sync_nothing_is_written_even_if_the_disk_seems_well_agai
         raise OSError(5, "Input/output error")
 
     with monkeypatch.context() as failing:
-        failing.setattr("revisit.service.adapters.files.disk.os.fsync", broken)
+        failing.setattr("revisit.service.engines.local.files.disk.os.fsync", broken)
         with pytest.raises(StorageUncertain):
             blobs.put(TenantId("default"), "cloud", b"points")
     with pytest.raises(StorageUncertain, match="restarting"):

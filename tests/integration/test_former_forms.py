@@ -9,11 +9,11 @@ import pytest
 from revisit.core.errors import FormerForm, RevisitError
 from revisit.core.model_bundle import load_packaged_models
 from revisit.service.adapters.core_recogniser import CoreRecogniser
-from revisit.service.application import SubmapKey
-from revisit.service.application.catalogue.downloads import DownloadKind
-from revisit.service.application.catalogue.paging import PageRequest
-from revisit.service.application.contract.blobs import NEURAL_MAP_BLOB, PLACE_BLOB
-from revisit.service.application.ingest.clouds import unpack_cloud
+from revisit.service.domain.identity import SubmapKey
+from revisit.service.features.catalogue.downloads import DownloadKind
+from revisit.service.features.ingest.clouds import unpack_cloud
+from revisit.service.features.resources.paging import PageRequest
+from revisit.service.ports.blobs import NEURAL_MAP_BLOB, PLACE_BLOB
 from tests.support.fake_recogniser import FakeRecogniser
 from tests.support.service_world import SESSION, TENANT, answered, described, sqlite_world, submap
 

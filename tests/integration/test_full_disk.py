@@ -10,9 +10,9 @@ from pathlib import Path
 
 import pytest
 
-from revisit.service.adapters.files.disk import Disk, may_grow
-from revisit.service.application import UseCases
-from revisit.service.application.contract.errors import StorageFull
+from revisit.service.domain.errors import StorageFull
+from revisit.service.engines.local.files.disk import Disk, may_grow
+from revisit.service.use_cases import UseCases
 from tests.support.patience import PATIENCE_S, eventually, in_time
 from tests.support.processes import ServiceProcess
 from tests.support.service_world import open_session, sqlite_world, submap
@@ -114,7 +114,7 @@ def test_an_exhausted_quota_is_told_from_a_broken_disk(tmp_path, monkeypatch, nu
     def refuse(descriptor, offset, size):
         raise OSError(number, "")
 
-    monkeypatch.setattr("revisit.service.adapters.files.disk.os.posix_fallocate", refuse)
+    monkeypatch.setattr("revisit.service.engines.local.files.disk.os.posix_fallocate", refuse)
     assert may_grow(tmp_path / "log", 4096) is grows
     assert list(tmp_path.iterdir()) == []
 

@@ -23,7 +23,7 @@ def test_the_gateway_imports_nothing_that_only_workers_need():
 def test_a_start_with_nothing_to_migrate_does_not_load_what_migrates(tmp_path):
     script = (
         "import sys; from pathlib import Path\n"
-        "from revisit.service.adapters.sqlite.migration import migrate\n"
+        "from revisit.service.engines.local.sqlite.migration import migrate\n"
         "migrate(Path(sys.argv[1]) / 'revisit.db')\n"
         "print('alembic' in sys.modules)"
     )

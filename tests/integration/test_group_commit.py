@@ -10,9 +10,9 @@ from concurrent.futures import ThreadPoolExecutor
 import pytest
 from sqlalchemy.exc import OperationalError
 
-from revisit.service.adapters.sqlite import transactions
-from revisit.service.adapters.sqlite.transactions import SqliteTransactions, WriterLock
-from revisit.service.application.contract.errors import AlreadyExists, StorageFull
+from revisit.service.domain.errors import AlreadyExists, StorageFull
+from revisit.service.engines.local.sqlite import transactions
+from revisit.service.engines.local.sqlite.transactions import SqliteTransactions, WriterLock
 from tests.support.made_database import made_database
 from tests.support.patience import PATIENCE_S
 from tests.support.records import TENANT, a_map

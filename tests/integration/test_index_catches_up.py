@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from revisit.service.application.query import place_memory
-from revisit.service.application.query.place_memory import PlaceMemory
+from revisit.service.features.index import place_memory
+from revisit.service.features.index.place_memory import PlaceMemory
 from tests.support.memory.vector_index import MemoryVectorIndex
 from tests.support.records import anywhere
 from tests.support.service_world import TENANT, open_session, sqlite_world, submap

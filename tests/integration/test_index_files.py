@@ -13,13 +13,13 @@ import numpy as np
 import pytest
 
 from revisit.core.index import FaissIndex, rows
-from revisit.service.adapters.files import index_files
-from revisit.service.adapters.files.index_files import IndexFiles
-from revisit.service.adapters.vector_index import PlaceVectorIndex
-from revisit.service.application import UseCases
-from revisit.service.application.contract.disk import UnlimitedDisk
-from revisit.service.application.housekeeping.index_keeping import IndexHealth
-from revisit.service.application.query.place_memory import PlaceMemory
+from revisit.service.engines.local.files import index_files
+from revisit.service.engines.local.files.index_files import IndexFiles
+from revisit.service.engines.local.vector_index import PlaceVectorIndex
+from revisit.service.features.index.keeping import IndexHealth
+from revisit.service.features.index.place_memory import PlaceMemory
+from revisit.service.ports.disk import UnlimitedDisk
+from revisit.service.use_cases import UseCases
 from tests.support.records import anywhere
 from tests.support.service_world import SESSION, TENANT, described_home, sqlite_world, submap
 

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from revisit.core.index import FaissIndex, IndexEntry
-from revisit.service.adapters.vector_index import PlaceVectorIndex
-from revisit.service.application import UseCases
-from revisit.service.application.catalogue.maps import CreateMap
-from revisit.service.application.housekeeping import index_keeping
-from revisit.service.application.query import place_memory
-from revisit.service.application.query.place_memory import PlaceMemory
+from revisit.service.engines.local.vector_index import PlaceVectorIndex
+from revisit.service.features.catalogue.maps import CreateMap
+from revisit.service.features.index import keeping as index_keeping
+from revisit.service.features.index import place_memory
+from revisit.service.features.index.place_memory import PlaceMemory
+from revisit.service.use_cases import UseCases
 from tests.support.campaigns import Campaign, sizes
 from tests.support.records import anywhere
 from tests.support.service_world import SESSION, TENANT, described_home, sqlite_world

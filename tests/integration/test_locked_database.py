@@ -9,7 +9,7 @@ import pytest
 
 from revisit import ApiError, Client
 from revisit.sdk.retry import RetryPolicy
-from revisit.service.adapters.sqlite import connections, transactions
+from revisit.service.engines.local.sqlite import connections, transactions
 from tests.support.live_service import live_service
 from tests.support.service_world import cloud_points, pose, sqlite_world
 

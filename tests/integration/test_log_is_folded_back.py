@@ -7,15 +7,15 @@ from contextlib import closing
 
 import pytest
 
-from revisit.service.adapters.files.disk import FailStop
-from revisit.service.adapters.sqlite import checkpoints
-from revisit.service.adapters.sqlite.checkpoints import LARGE_BYTES, OLD_S, Checkpoints
-from revisit.service.adapters.sqlite.connections import write_ahead_log
-from revisit.service.adapters.sqlite.examination import examine
-from revisit.service.adapters.sqlite.transactions import SqliteTransactions, StorageFailures
-from revisit.service.application.contract.errors import StorageUncertain
-from revisit.service.application.contract.records import WorkerRecord
-from revisit.service.application.housekeeping.system import WAL_ALARM_BYTES
+from revisit.service.domain.errors import StorageUncertain
+from revisit.service.domain.records import WorkerRecord
+from revisit.service.engines.local.files.disk import FailStop
+from revisit.service.engines.local.sqlite import checkpoints
+from revisit.service.engines.local.sqlite.checkpoints import LARGE_BYTES, OLD_S, Checkpoints
+from revisit.service.engines.local.sqlite.connections import write_ahead_log
+from revisit.service.engines.local.sqlite.examination import examine
+from revisit.service.engines.local.sqlite.transactions import SqliteTransactions, StorageFailures
+from revisit.service.features.upkeep.calls import WAL_ALARM_BYTES
 from tests.support.made_database import made_database
 from tests.support.patience import eventually
 from tests.support.processes import ServiceProcess

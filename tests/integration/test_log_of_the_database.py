@@ -7,9 +7,9 @@ from dataclasses import replace
 
 import pytest
 
-from revisit.service.adapters.files.disk import Disk
-from revisit.service.application import UseCases
-from revisit.service.application.housekeeping.system import WAL_ALARM_BYTES
+from revisit.service.engines.local.files.disk import Disk
+from revisit.service.features.upkeep.calls import WAL_ALARM_BYTES
+from revisit.service.use_cases import UseCases
 from tests.support.service_world import memory_world
 
 

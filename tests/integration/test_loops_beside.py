@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from revisit.core.geometry import se3
-from revisit.service.application import SessionKey, SubmapKey
-from revisit.service.application.catalogue.maps import CreateMap
-from revisit.service.application.catalogue.paging import PageRequest
-from revisit.service.application.catalogue.sessions import CreateSession
-from revisit.service.application.contract.states import LoopState
-from revisit.service.application.query.searches import LocalizeQuery
+from revisit.service.domain.identity import SessionKey, SubmapKey
+from revisit.service.domain.states import LoopState
+from revisit.service.features.catalogue.maps import CreateMap
+from revisit.service.features.catalogue.sessions import CreateSession
+from revisit.service.features.resources.paging import PageRequest
+from revisit.service.features.search.calls import LocalizeQuery
 from tests.support.fake_recogniser import CANNOT_BE_DESCRIBED, FakeRecogniser
 from tests.support.service_world import SESSION, TENANT, cloud, memory_world, open_session, sqlite_world, submap
 from tests.support.verdicts import ambiguous, rejected, verified

@@ -9,11 +9,11 @@ import pytest
 from revisit import Client
 from revisit.core.pose_graph import PoseGraph, Robustness, optimise
 from revisit.service.adapters.core_map_optimiser import CoreMapOptimiser
-from revisit.service.application import SessionKey
-from revisit.service.application.catalogue.sessions import CreateSession
-from revisit.service.application.mapping import optimisation_posting
-from revisit.service.application.mapping.optimisation_posting import drop_waiting
+from revisit.service.domain.identity import SessionKey
 from revisit.service.failpoints import FailpointReached, arm
+from revisit.service.features.catalogue.sessions import CreateSession
+from revisit.service.features.graph import posting as optimisation_posting
+from revisit.service.features.graph.posting import drop_waiting
 from tests.support.fleet_in_service import fleet_in
 from tests.support.live_service import live_service
 from tests.support.patience import PATIENCE_S
@@ -145,7 +145,7 @@ async def test_a_graph_that_loses_a_session_while_it_is_optimised_is_read_again(
 
 
 def delete_one(uow, map_id):
-    from revisit.service.application.catalogue.deletion import mark_session
+    from revisit.service.features.deletion.rows import mark_session
 
     mark_session(uow, uow.maps.get(TENANT, map_id), uow.sessions.get(TENANT, map_id, "s1"), 1)
 

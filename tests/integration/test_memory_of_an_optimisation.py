@@ -5,12 +5,13 @@ from __future__ import annotations
 import pytest
 
 from revisit.service.adapters.core_map_optimiser import CoreMapOptimiser
-from revisit.service.application.contract.policy import Policy
-from revisit.service.application.contract.states import LoopEventKind
-from revisit.service.application.mapping import graph_reading, optimisation
-from revisit.service.application.mapping.early_corrections import EarlyCorrections
-from revisit.service.application.mapping.graph_reading import read_task, with_evidence
-from revisit.service.application.mapping.loop_events import Change, add_loop
+from revisit.service.domain.policy import Policy
+from revisit.service.domain.states import LoopEventKind
+from revisit.service.features.corrections.job import EarlyCorrections
+from revisit.service.features.graph import reading as graph_reading
+from revisit.service.features.graph.reading import read_task, with_evidence
+from revisit.service.features.loops.rows import Change, add_loop
+from revisit.service.features.optimisation import job as optimisation
 from tests.support.fake_recogniser import FakeRecogniser
 from tests.support.fleet_in_service import fleet_in, loop_record
 from tests.support.service_world import TENANT, memory_world

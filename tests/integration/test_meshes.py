@@ -10,13 +10,13 @@ from pathlib import Path
 import pytest
 
 from revisit.core.errors import ErrorCode, RevisitError
-from revisit.service.application import SubmapKey
-from revisit.service.application.catalogue.downloads import DownloadKind
-from revisit.service.application.catalogue.paging import PageRequest
-from revisit.service.application.contract.blobs import MESH_BLOB
-from revisit.service.application.contract.disk import UnlimitedDisk
-from revisit.service.application.contract.errors import NoAnswer, RateLimited, StorageFull, WorkersBusy
-from revisit.service.application.housekeeping.sweeping import MIN_AGE_S, sweep
+from revisit.service.domain.errors import NoAnswer, RateLimited, StorageFull, WorkersBusy
+from revisit.service.domain.identity import SubmapKey
+from revisit.service.features.catalogue.downloads import DownloadKind
+from revisit.service.features.resources.paging import PageRequest
+from revisit.service.features.upkeep.sweeping import MIN_AGE_S, sweep
+from revisit.service.ports.blobs import MESH_BLOB
+from revisit.service.ports.disk import UnlimitedDisk
 from tests.support.patience import PATIENCE_S
 from tests.support.service_world import SESSION, TENANT, World, answered, described, sqlite_world, submap
 
@@ -113,7 +113,7 @@ async def test_a_mesh_made_just_before_its_asker_left_is_not_kept(world, tmp_pat
 
 
 async def test_a_mesh_that_no_worker_makes_in_time_is_no_answer(world, monkeypatch):
-    monkeypatch.setattr("revisit.service.application.contract.limits.TILE_WAIT_S", 0.05)
+    monkeypatch.setattr("revisit.service.domain.limits.TILE_WAIT_S", 0.05)
     await described(world, a=1)
     with pytest.raises(NoAnswer):
         await asked(world)

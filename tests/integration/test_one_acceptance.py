@@ -14,7 +14,7 @@ from revisit.evaluation.drive_acceptance import judge_drive
 from revisit.evaluation.ground_truth import GroundTruth
 from revisit.evaluation.loop_closure_method import Description
 from revisit.evaluation.matching import search_map
-from revisit.service.application.contract.blobs import PLACE_BLOB
+from revisit.service.ports.blobs import PLACE_BLOB
 from tests.integration.test_loops_beside import EqualBlocks, RowOfHouses
 from tests.support.fake_recogniser import FakeRecogniser
 from tests.support.service_world import SESSION, TENANT, memory_world, open_session, policy, submap

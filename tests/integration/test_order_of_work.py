@@ -7,8 +7,8 @@ import random
 
 import pytest
 
-from revisit.service.application.catalogue.paging import PageRequest
-from revisit.service.application.contract.states import LoopState
+from revisit.service.domain.states import LoopState
+from revisit.service.features.resources.paging import PageRequest
 from tests.support.campaigns import Campaign, sizes
 from tests.support.service_world import TENANT, World, memory_world, open_session, submap
 

@@ -8,8 +8,8 @@ import pytest
 
 from revisit.core.errors import BadField
 from revisit.service import composition
-from revisit.service.adapters.sqlite.migration import migrate
-from revisit.service.application.catalogue.paging import PageTokens
+from revisit.service.engines.local.sqlite.migration import migrate
+from revisit.service.features.resources.paging import PageTokens
 from revisit.service.settings import Settings
 
 
@@ -20,7 +20,7 @@ def started(tmp_path):
     migrate(settings.database)
 
     def start() -> PageTokens:
-        opened.append(composition.build_installation(settings, gateway=True))
+        opened.append(composition.build_context(settings, gateway=True))
         return PageTokens(opened[-1].secret)
 
     yield start

@@ -13,7 +13,7 @@ import httpx
 import pytest
 
 from revisit.api.calls import CALLS
-from revisit.service.application.access.api_keys import CreateKey, parse_key
+from revisit.service.features.keys.calls import CreateKey, parse_key
 from revisit.service.rest.app import create_app
 from tests.support.campaigns import Campaign, sizes
 from tests.support.credentials import ALL_SCOPES, ended

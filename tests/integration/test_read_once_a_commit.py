@@ -6,13 +6,13 @@ from dataclasses import replace
 
 import pytest
 
-from revisit.service.adapters.sqlite.transactions import SqliteTransactions
-from revisit.service.application.access import known_keys
-from revisit.service.application.access.known_keys import KnownKeys
-from revisit.service.application.contract.access_ports import KeyRecord
-from revisit.service.application.contract.identity import TenantId
-from revisit.service.application.contract.storage import Storage
-from revisit.service.application.query.search_answers import SearchCriteria
+from revisit.service.domain.identity import TenantId
+from revisit.service.engines.local.sqlite.transactions import SqliteTransactions
+from revisit.service.features.index.answers import SearchCriteria
+from revisit.service.features.keys import known_keys
+from revisit.service.features.keys.known_keys import KnownKeys
+from revisit.service.ports.access import KeyRecord
+from revisit.service.ports.storage import Storage
 from tests.support.service_world import TENANT, open_session, sqlite_world, submap
 
 KEY = KeyRecord(TenantId("acme"), "abcdefabcdef", "robot 7", ("query",), "0" * 64, 5, None, None)

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from revisit.core.verification import VerifiedLoop
-from revisit.service.application.mapping.loop_events import LoopStanding
-from revisit.service.application.recognise import loop_recall_job
 from revisit.service.failpoints import arm
+from revisit.service.features.loops.rows import LoopStanding
+from revisit.service.features.recognition import loop_recall_job
 from tests.support.fake_recogniser import FakeRecogniser
 from tests.support.fleet_in_service import fleet_in
 from tests.support.service_world import TENANT, memory_world, sqlite_world

@@ -6,9 +6,9 @@ import threading
 
 import pytest
 
-from revisit.service.application import SubmapKey
-from revisit.service.application.catalogue.paging import PageRequest
-from revisit.service.application.contract.states import LoopState, OperationState, SubmapState
+from revisit.service.domain.identity import SubmapKey
+from revisit.service.domain.states import LoopState, OperationState, SubmapState
+from revisit.service.features.resources.paging import PageRequest
 from tests.support.fake_recogniser import FakeRecogniser
 from tests.support.patience import PATIENCE_S
 from tests.support.service_world import SESSION, TENANT, memory_world, open_session, posted, sqlite_world, submap

@@ -14,12 +14,12 @@ from revisit.cli.app import app
 from revisit.core.codec import neural_map as codec
 from revisit.core.errors import DegenerateCloud
 from revisit.core.index import FaissIndex
-from revisit.service.adapters.files.file_drafts import FileDrafts
-from revisit.service.adapters.vector_index import PlaceVectorIndex
-from revisit.service.application.contract.blobs import NEURAL_MAP_BLOB, PLACE_BLOB
-from revisit.service.application.contract.identity import SubmapKey
-from revisit.service.application.query.place_memory import PlaceMemory
-from revisit.service.application.recognise.reembedding import Reembedding
+from revisit.service.domain.identity import SubmapKey
+from revisit.service.engines.local.files.file_drafts import FileDrafts
+from revisit.service.engines.local.vector_index import PlaceVectorIndex
+from revisit.service.features.index.place_memory import PlaceMemory
+from revisit.service.features.recognition.reembedding import Reembedding
+from revisit.service.ports.blobs import NEURAL_MAP_BLOB, PLACE_BLOB
 from tests.support.fake_recogniser import FakeRecogniser
 from tests.support.records import anywhere
 from tests.support.service_world import SESSION, TENANT, open_session, sqlite_world, submap

@@ -13,12 +13,12 @@ from alembic.migration import MigrationContext
 from sqlalchemy import event
 from sqlalchemy.exc import OperationalError
 
-from revisit.service.adapters.files.disk import FailStop
-from revisit.service.adapters.sql import tables
-from revisit.service.adapters.sqlite.connections import reader_engine, writer_engine
-from revisit.service.adapters.sqlite.migration import current_revision, migrate
-from revisit.service.adapters.sqlite.transactions import SqliteTransactions
-from revisit.service.application.contract.errors import NotFound, StorageFull, StorageUncertain
+from revisit.service.domain.errors import NotFound, StorageFull, StorageUncertain
+from revisit.service.engines.local.files.disk import FailStop
+from revisit.service.engines.local.sqlite.connections import reader_engine, writer_engine
+from revisit.service.engines.local.sqlite.migration import current_revision, migrate
+from revisit.service.engines.local.sqlite.transactions import SqliteTransactions
+from revisit.service.engines.sql import tables
 from tests.contract.test_transactions import fill
 from tests.support.patience import PATIENCE_S
 from tests.support.records import TENANT, a_map, a_session, a_submap
@@ -163,7 +163,7 @@ def test_a_read_sees_one_snapshot_while_others_write(database):
 
 
 def test_a_writer_that_does_not_get_its_turn_says_so_and_stores_nothing(database, monkeypatch):
-    monkeypatch.setattr("revisit.service.adapters.sqlite.transactions.LOCK_TIMEOUT_S", 0.1)
+    monkeypatch.setattr("revisit.service.engines.local.sqlite.transactions.LOCK_TIMEOUT_S", 0.1)
     store, other = SqliteTransactions(database, checkpoints=True), SqliteTransactions(database, checkpoints=False)
     entered, leave = threading.Event(), threading.Event()
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from revisit.service.application.contract.errors import StorageFull, StorageUncertain
+from revisit.service.domain.errors import StorageFull, StorageUncertain
 from tests.support.service_world import TENANT, memory_world, posted
 
 

@@ -12,11 +12,11 @@ import pytest
 from revisit.core.acceptance import TELLING
 from revisit.core.verification import RejectedLoop
 from revisit.service.adapters.core_recogniser import load_recogniser
-from revisit.service.application.catalogue.maps import CreateMap
-from revisit.service.application.catalogue.paging import PageRequest
-from revisit.service.application.catalogue.sessions import CreateSession
-from revisit.service.application.contract.loop_claims import verdict_evidence
-from revisit.service.application.contract.states import LoopState
+from revisit.service.domain.states import LoopState
+from revisit.service.features.catalogue.maps import CreateMap
+from revisit.service.features.catalogue.sessions import CreateSession
+from revisit.service.features.loops.claims import verdict_evidence
+from revisit.service.features.resources.paging import PageRequest
 from tests.contract.test_place_recogniser import CONFIG, TILTED, seen_from
 from tests.support.fake_recogniser import FakeRecogniser
 from tests.support.service_world import SESSION, TENANT, described, posted, sqlite_world, submap

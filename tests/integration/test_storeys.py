@@ -7,14 +7,14 @@ import asyncio
 import pytest
 
 from revisit.core.errors import BadField
-from revisit.service.application import SessionKey, SubmapKey
-from revisit.service.application.catalogue.maps import CreateMap
-from revisit.service.application.catalogue.sessions import CreateSession
-from revisit.service.application.contract.errors import AlreadyExists
-from revisit.service.application.mapping.merges import MergeMap
-from revisit.service.application.query.place_memory import PlaceMemory
-from revisit.service.application.query.search_answers import SearchCriteria
-from revisit.service.application.query.searches import LocalizeQuery
+from revisit.service.domain.errors import AlreadyExists
+from revisit.service.domain.identity import SessionKey, SubmapKey
+from revisit.service.features.catalogue.maps import CreateMap
+from revisit.service.features.catalogue.sessions import CreateSession
+from revisit.service.features.index.answers import SearchCriteria
+from revisit.service.features.index.place_memory import PlaceMemory
+from revisit.service.features.merging.calls import MergeMap
+from revisit.service.features.search.calls import LocalizeQuery
 from tests.support.fake_merger import EasyMerger
 from tests.support.service_world import TENANT, cloud, memory_world, sqlite_world, submap
 

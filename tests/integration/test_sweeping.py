@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from revisit.service.adapters.files.blobs import nothing_deleted
-from revisit.service.application.contract.identity import TenantId
-from revisit.service.application.housekeeping.sweeping import MIN_AGE_S, sweep
+from revisit.service.domain.identity import TenantId
+from revisit.service.engines.local.files.blobs import nothing_deleted
+from revisit.service.features.upkeep.sweeping import MIN_AGE_S, sweep
 from tests.support.service_world import TENANT, open_session, sqlite_world, submap
 
 OTHER = TenantId("other")

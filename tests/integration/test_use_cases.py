@@ -9,14 +9,7 @@ import numpy as np
 import pytest
 
 from revisit.core.errors import BadField, BadTransform, DataLoss, DescriptorModelMismatch, EmptyCloud, RevisitError
-from revisit.service.application import SessionKey, SubmapKey, TenantId
-from revisit.service.application.catalogue import blob_references
-from revisit.service.application.catalogue.downloads import DownloadKind
-from revisit.service.application.catalogue.maps import CreateMap
-from revisit.service.application.catalogue.paging import PageRequest
-from revisit.service.application.catalogue.sessions import CreateSession
-from revisit.service.application.contract.blobs import CLOUD_BLOB, QUERY_CLOUD_BLOB
-from revisit.service.application.contract.errors import (
+from revisit.service.domain.errors import (
     AlreadyExists,
     Draining,
     NotFound,
@@ -25,11 +18,18 @@ from revisit.service.application.contract.errors import (
     SessionFinished,
     WorkersBusy,
 )
-from revisit.service.application.contract.loop_policy import LoopPolicy
-from revisit.service.application.contract.states import LoopState, OperationState, SessionState, SubmapState
-from revisit.service.application.housekeeping.retention import forget_answers
-from revisit.service.application.query.search_answers import SearchCriteria
-from revisit.service.application.query.searches import LocalizeQuery
+from revisit.service.domain.identity import SessionKey, SubmapKey, TenantId
+from revisit.service.domain.loop_policy import LoopPolicy
+from revisit.service.domain.states import LoopState, OperationState, SessionState, SubmapState
+from revisit.service.features.catalogue.downloads import DownloadKind
+from revisit.service.features.catalogue.maps import CreateMap
+from revisit.service.features.catalogue.sessions import CreateSession
+from revisit.service.features.deletion import blob_references
+from revisit.service.features.index.answers import SearchCriteria
+from revisit.service.features.resources.paging import PageRequest
+from revisit.service.features.search.calls import LocalizeQuery
+from revisit.service.features.upkeep.retention import forget_answers
+from revisit.service.ports.blobs import CLOUD_BLOB, QUERY_CLOUD_BLOB
 from tests.support.fake_recogniser import CANNOT_BE_DESCRIBED, RAISES, FakeRecogniser
 from tests.support.patience import PATIENCE_S
 from tests.support.service_world import (
@@ -411,7 +411,8 @@ async def test_a_robot_that_restarted_is_told_to_take_a_new_session(world):
 
 
 async def test_a_scan_is_known_again_after_another_compressor_packed_it(world, monkeypatch):
-    from revisit.service.application.ingest import clouds, scans
+    from revisit.service.features.ingest import calls as scans
+    from revisit.service.features.ingest import clouds
 
     def packed_otherwise(accepted):
         blob = clouds.pack_cloud(accepted)

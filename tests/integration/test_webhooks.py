@@ -18,13 +18,13 @@ from revisit.sdk.errors import Unauthenticated
 from revisit.sdk.webhooks import verified
 from revisit.service.adapters import webhook_sender
 from revisit.service.adapters.webhook_sender import HttpWebhookSender
-from revisit.service.application.catalogue.paging import PageRequest
-from revisit.service.application.contract.identity import TenantId
-from revisit.service.application.contract.states import EventKind
-from revisit.service.application.push import deliveries
-from revisit.service.application.push.deliveries import MOST_FAILURES, Deliveries, pause_s
-from revisit.service.application.push.webhooks import CreateWebhook
 from revisit.service.calls.push import webhook_body
+from revisit.service.domain.identity import TenantId
+from revisit.service.domain.states import EventKind
+from revisit.service.features.resources.paging import PageRequest
+from revisit.service.features.webhooks import deliveries
+from revisit.service.features.webhooks.calls import CreateWebhook
+from revisit.service.features.webhooks.deliveries import MOST_FAILURES, Deliveries, pause_s
 from tests.support.patience import PATIENCE_S, eventually
 from tests.support.service_world import SESSION, TENANT, memory_world, open_session, sqlite_world, submap
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from revisit.service.adapters.sqlite.migration import migrate
+from revisit.service.engines.local.sqlite.migration import migrate
 from tests.support.processes import WorkerProcess
 
 

@@ -23,7 +23,7 @@ from numba.core.dispatcher import Dispatcher
 from revisit.core.geometry import se3
 from revisit.formats import quantised
 from revisit.service.adapters.core_recogniser import load_recogniser
-from revisit.service.application.ingest.clouds import unpack_cloud
+from revisit.service.features.ingest.clouds import unpack_cloud
 from tests.support.block_worlds import along, seen, yard
 from tests.support.driven_maps import driven, merged, real_world
 

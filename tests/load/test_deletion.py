@@ -16,8 +16,8 @@ from pathlib import Path
 
 import pytest
 
-from revisit.service.adapters.sqlite.transactions import GroupCommitter, SqliteTransactions
-from revisit.service.application.contract.errors import NotFound
+from revisit.service.domain.errors import NotFound
+from revisit.service.engines.local.sqlite.transactions import GroupCommitter, SqliteTransactions
 from tests.support.figures import publish
 from tests.support.load import quantile
 from tests.support.patience import in_time

@@ -19,9 +19,9 @@ import pytest
 
 from revisit import Client
 from revisit.core.index.learning import site_of_arrays
-from revisit.service.adapters.files.index_files import IndexFiles
-from revisit.service.adapters.sqlite.transactions import SqliteTransactions
-from revisit.service.adapters.vector_index import SAVED_FROM
+from revisit.service.engines.local.files.index_files import IndexFiles
+from revisit.service.engines.local.sqlite.transactions import SqliteTransactions
+from revisit.service.engines.local.vector_index import SAVED_FROM
 from tests.support.figures import publish
 from tests.support.filled_store import fill_sessions
 from tests.support.load import own_mib, quantile, rss_mib

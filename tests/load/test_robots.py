@@ -23,7 +23,7 @@ from typing import Any
 import pytest
 
 from revisit import Client
-from revisit.service.application.contract.blobs import CLOUD_BLOB
+from revisit.service.ports.blobs import CLOUD_BLOB
 from tests.support.figures import publish
 from tests.support.load import quantile
 from tests.support.patience import eventually, in_time

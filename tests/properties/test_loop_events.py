@@ -11,11 +11,11 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
 
 from revisit.core.errors import BadField
-from revisit.service.application import SessionKey
-from revisit.service.application.catalogue.paging import PageRequest
-from revisit.service.application.contract.errors import AlreadyExists
-from revisit.service.application.mapping.loop_decisions import ProposeLoop
-from revisit.service.application.mapping.loop_events import LoopStanding
+from revisit.service.domain.errors import AlreadyExists
+from revisit.service.domain.identity import SessionKey
+from revisit.service.features.loops.decisions import ProposeLoop
+from revisit.service.features.loops.rows import LoopStanding
+from revisit.service.features.resources.paging import PageRequest
 from tests.support.fleet_in_service import fleet_in
 from tests.support.service_world import TENANT, memory_world, submap
 

@@ -10,7 +10,7 @@ from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, rule, run_state_machine_as_test
 
-from revisit.service.application import SessionKey, SubmapKey
+from revisit.service.domain.identity import SessionKey, SubmapKey
 from tests.support.campaigns import Campaign
 from tests.support.service_drivers import RestDriver, UseCaseDriver
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import grpc
 
-from revisit.service.application.access.api_keys import CreateKey, NewKey
+from revisit.service.features.keys.calls import CreateKey, NewKey
 from tests.support.patience import PATIENCE_S
 from tests.support.service_world import World
 

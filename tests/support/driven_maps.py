@@ -13,11 +13,11 @@ from revisit.formats import DecodedCloud
 from revisit.service.adapters.core_map_merger import CoreMapMerger
 from revisit.service.adapters.core_recogniser import CoreRecogniser
 from revisit.service.adapters.core_tile_maker import CoreTileMaker
-from revisit.service.application import SessionKey
-from revisit.service.application.catalogue.maps import CreateMap
-from revisit.service.application.catalogue.sessions import CreateSession
-from revisit.service.application.ingest.scans import AppendScan
-from revisit.service.application.mapping.merges import MergeMap
+from revisit.service.domain.identity import SessionKey
+from revisit.service.features.catalogue.maps import CreateMap
+from revisit.service.features.catalogue.sessions import CreateSession
+from revisit.service.features.ingest.calls import AppendScan
+from revisit.service.features.merging.calls import MergeMap
 from tests.support.service_world import TENANT, World, memory_world
 
 Drive = Iterable[tuple[np.ndarray, np.ndarray]]

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from revisit.service.adapters.core_map_merger import CoreMapMerger
-from revisit.service.application.contract.map_merger import Judgement, MapChange, SurfaceEvidence
-from revisit.service.application.contract.states import ChangeKind
+from revisit.service.domain.states import ChangeKind
+from revisit.service.ports.map_merger import Judgement, MapChange, SurfaceEvidence
 
 CAR = MapChange(ChangeKind.VANISHED, (12.0, 3.0, 0.8), (4.2, 1.8, 1.5), 120)
 

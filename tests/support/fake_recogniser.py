@@ -26,7 +26,7 @@ from revisit.core.geometry import se3
 from revisit.core.scan import Scan
 from revisit.core.submap import Submap
 from revisit.core.verification import PairVerdict
-from revisit.service.application.contract.recogniser import Redescription, SubmapDescription
+from revisit.service.ports.recogniser import Redescription, SubmapDescription
 from tests.support.verdicts import rejected, verified
 
 KILLS_THE_WORKER = 666

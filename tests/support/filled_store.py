@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 from sqlalchemy import insert
 
 from lab.distractors import made_up_places
-from revisit.service.adapters.files.blobs import FileBlobStore
-from revisit.service.adapters.sql import tables
-from revisit.service.adapters.sqlite.migration import migrate
-from revisit.service.adapters.sqlite.transactions import SqliteTransactions
-from revisit.service.application.contract.blobs import CLOUD_BLOB
+from revisit.service.engines.local.files.blobs import FileBlobStore
+from revisit.service.engines.local.sqlite.migration import migrate
+from revisit.service.engines.local.sqlite.transactions import SqliteTransactions
+from revisit.service.engines.sql import tables
+from revisit.service.ports.blobs import CLOUD_BLOB
 from tests.support.records import TENANT, a_loop, a_map, a_session, a_submap
 
 Vectors = NDArray[np.float32]

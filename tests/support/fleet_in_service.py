@@ -9,11 +9,11 @@ import numpy as np
 from revisit.core.geometry import se3
 from revisit.core.geometry.se3 import pose_row, position_row
 from revisit.core.pose_graph import LoopEdge, PoseGraph
-from revisit.service.application.contract.blobs import PLACE_BLOB, BlobStore
-from revisit.service.application.contract.identity import SessionKey, TenantId
-from revisit.service.application.contract.records import LoopRecord, MapRecord, SessionRecord, SubmapRecord
-from revisit.service.application.contract.states import LoopEventKind
-from revisit.service.application.mapping.loop_events import Change, add_loop
+from revisit.service.domain.identity import SessionKey, TenantId
+from revisit.service.domain.records import LoopRecord, MapRecord, SessionRecord, SubmapRecord
+from revisit.service.domain.states import LoopEventKind
+from revisit.service.features.loops.rows import Change, add_loop
+from revisit.service.ports.blobs import PLACE_BLOB, BlobStore
 from tests.support.fake_recogniser import placed
 from tests.support.made_up_fleet import Fleet, fleet
 from tests.support.records import TENANT, a_submap

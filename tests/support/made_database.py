@@ -7,7 +7,7 @@ import shutil
 import tempfile
 from pathlib import Path
 
-from revisit.service.adapters.sqlite.migration import migrate
+from revisit.service.engines.local.sqlite.migration import migrate
 
 
 def made_database(database: Path) -> Path:

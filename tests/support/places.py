@@ -9,8 +9,8 @@ import numpy as np
 from revisit.core.geometry import se3
 from revisit.core.geometry.level_frame import LevelFrame
 from revisit.core.place import Place
-from revisit.service.application import DEFAULT_TENANT
-from revisit.service.application.contract.blobs import PLACE_BLOB
+from revisit.service.domain.identity import DEFAULT_TENANT
+from revisit.service.ports.blobs import PLACE_BLOB
 
 SCALE = 0.5
 T_SUBMAP_LEVEL = se3.exp([0.4, -0.2, 1.1, 0.05, -0.03, 0.0])

@@ -9,8 +9,8 @@ from contextlib import contextmanager
 from sqlalchemy import Connection, Engine, MetaData, Table, create_engine, text
 from sqlalchemy.pool import StaticPool
 
-from revisit.service.adapters.sql.tables import metadata
-from revisit.service.adapters.sql.unit_of_work import SqlUnitOfWork
+from revisit.service.engines.sql.tables import metadata
+from revisit.service.engines.sql.unit_of_work import SqlUnitOfWork
 
 HIGHEST = text("SELECT number FROM highest WHERE table_name = :name")
 

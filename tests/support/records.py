@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from revisit.service.application.contract.identity import TenantId
-from revisit.service.application.contract.index import VectorFilter
-from revisit.service.application.contract.records import (
+from revisit.service.domain.identity import TenantId
+from revisit.service.domain.records import (
     JobRecord,
     LoopRecord,
     MapRecord,
@@ -13,6 +12,7 @@ from revisit.service.application.contract.records import (
     SessionRecord,
     SubmapRecord,
 )
+from revisit.service.ports.index import VectorFilter
 
 TENANT = TenantId("default")
 POSE = tuple(float(value) for value in (1, 0, 0, 0.1, 0, 1, 0, 0.2, 0, 0, 1, 0.3, 0, 0, 0, 1))

@@ -15,11 +15,12 @@ import numpy as np
 
 from revisit.core.errors import RevisitError
 from revisit.formats import NPY, encode_npy
-from revisit.service.application import SessionKey, SubmapKey, UseCases
-from revisit.service.application.catalogue.maps import CreateMap
-from revisit.service.application.catalogue.paging import PageRequest
-from revisit.service.application.catalogue.sessions import CreateSession
-from revisit.service.application.query.search_answers import SearchCriteria
+from revisit.service.domain.identity import SessionKey, SubmapKey
+from revisit.service.features.catalogue.maps import CreateMap
+from revisit.service.features.catalogue.sessions import CreateSession
+from revisit.service.features.index.answers import SearchCriteria
+from revisit.service.features.resources.paging import PageRequest
+from revisit.service.use_cases import UseCases
 from tests.support.live_service import live_service
 from tests.support.memory.vector_index import MemoryVectorIndex
 from tests.support.patience import PATIENCE_S

@@ -15,20 +15,23 @@ from numpy.typing import NDArray
 from revisit.core.config import PipelineConfig
 from revisit.formats import DecodedCloud
 from revisit.service.adapters.core_map_optimiser import CoreMapOptimiser
-from revisit.service.adapters.files.blobs import FileBlobStore
-from revisit.service.adapters.sqlite.transactions import SqliteTransactions
-from revisit.service.application import DEFAULT_TENANT, Installation, Policy, SessionKey, SubmapKey, UseCases
-from revisit.service.application.catalogue.maps import CreateMap
-from revisit.service.application.catalogue.sessions import CreateSession
-from revisit.service.application.contract.clock import Instant
-from revisit.service.application.contract.disk import DiskSpace, UnlimitedDisk
-from revisit.service.application.contract.map_merger import MapMerger
-from revisit.service.application.contract.map_optimiser import MapOptimiser
-from revisit.service.application.contract.map_tiles import TileMaker
-from revisit.service.application.contract.recogniser import PlaceRecogniser
-from revisit.service.application.ingest.scans import AppendScan
-from revisit.service.application.ingest.submap_posting import PostSubmap
-from revisit.service.application.recognise.job_runner import JobRunner
+from revisit.service.context import ServiceContext
+from revisit.service.domain.identity import DEFAULT_TENANT, SessionKey, SubmapKey
+from revisit.service.domain.policy import Policy
+from revisit.service.engines.local.files.blobs import FileBlobStore
+from revisit.service.engines.local.sqlite.transactions import SqliteTransactions
+from revisit.service.features.catalogue.maps import CreateMap
+from revisit.service.features.catalogue.sessions import CreateSession
+from revisit.service.features.ingest.calls import AppendScan
+from revisit.service.features.ingest.posting import PostSubmap
+from revisit.service.features.operations.job_runner import JobRunner
+from revisit.service.ports.clock import Instant
+from revisit.service.ports.disk import DiskSpace, UnlimitedDisk
+from revisit.service.ports.map_merger import MapMerger
+from revisit.service.ports.map_optimiser import MapOptimiser
+from revisit.service.ports.map_tiles import TileMaker
+from revisit.service.ports.recogniser import PlaceRecogniser
+from revisit.service.use_cases import UseCases
 from tests.support.fake_merger import FakeMerger
 from tests.support.fake_recogniser import FakeRecogniser
 from tests.support.fake_tiler import FakeTiler
@@ -63,7 +66,7 @@ class SteppedClock:
 class World:
     """The service and the hands of a worker."""
 
-    context: Installation
+    context: ServiceContext
     use_cases: UseCases
     clock: SteppedClock
     optimiser: MapOptimiser = field(default_factory=CoreMapOptimiser)
@@ -121,7 +124,7 @@ def sqlite_world(home: Path, disk: DiskSpace = UnlimitedDisk(), **overrides) -> 
 
 def _world(transactions, blobs, rules: Policy, disk: DiskSpace = UnlimitedDisk()) -> World:
     clock = SteppedClock()
-    context = Installation(transactions, blobs, MemoryVectorIndex(), clock, rules, threading.Event(), disk=disk)
+    context = ServiceContext(transactions, blobs, MemoryVectorIndex(), clock, rules, threading.Event(), disk=disk)
     return World(context, UseCases.over(context, "test"), clock)
 
 

@@ -41,13 +41,13 @@ threading.settrace(trace)
 import grpc  # noqa: E402
 import structlog  # noqa: E402
 
-from revisit.service.application.access import admission  # noqa: E402
+from revisit.service.features.keys import admission  # noqa: E402
 
 # Once a second the credential of a stream is checked again: on a slow machine while a scan is under way.
 admission.STREAM_RECHECK_S = 3600.0
 
 from revisit.sdk.clouds import encoded  # noqa: E402  # threads that imports start are traced too
-from revisit.service.adapters.files.disk import Disk  # noqa: E402
+from revisit.service.engines.local.files.disk import Disk  # noqa: E402
 from revisit.service.grpc import scan_streams  # noqa: E402
 from revisit.service.grpc.server import create_server  # noqa: E402
 from revisit.service.metrics import RequestMetrics  # noqa: E402

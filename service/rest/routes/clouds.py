@@ -7,11 +7,11 @@ from typing import Annotated
 from fastapi import APIRouter, Depends, Query, Response
 
 from revisit.api.calls import CALLS
-from revisit.service.application.contract import limits
-from revisit.service.application.contract.identity import SubmapKey
-from revisit.service.application.ingest.scans import AppendScan
-from revisit.service.application.ingest.submap_posting import PostSubmap
 from revisit.service.calls.ingest import ack_fields, posted_fields
+from revisit.service.domain import limits
+from revisit.service.domain.identity import SubmapKey
+from revisit.service.features.ingest.calls import AppendScan
+from revisit.service.features.ingest.posting import PostSubmap
 from revisit.service.rest.access import allows, served
 from revisit.service.rest.answers import answer, answers
 from revisit.service.rest.bodies import CLOUD_BODY

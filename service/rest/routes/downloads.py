@@ -8,8 +8,8 @@ from typing import Annotated, Any, Literal
 from fastapi import APIRouter, Header, Query, Response
 
 from revisit.api.calls import CALLS
-from revisit.service.application.catalogue.downloads import MEDIA_TYPES
-from revisit.service.application.contract.map_tiles import TileKey
+from revisit.service.features.catalogue.downloads import MEDIA_TYPES
+from revisit.service.ports.map_tiles import TileKey
 from revisit.service.rest.access import served
 from revisit.service.rest.bodies import ANY_BINARY
 from revisit.service.rest.files import FileInPieces

@@ -7,8 +7,8 @@ from typing import Annotated
 from fastapi import APIRouter, Header, Query, Request, Response
 
 from revisit.api.calls import CALLS
-from revisit.service.application.contract import limits
-from revisit.service.application.contract.states import EventKind
+from revisit.service.domain import limits
+from revisit.service.domain.states import EventKind
 from revisit.service.rest.access import served, until_refused
 from revisit.service.rest.answers import event_answers
 from revisit.service.rest.event_stream import EventStream

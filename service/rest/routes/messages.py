@@ -10,13 +10,13 @@ from typing import Annotated, Any
 from fastapi import FastAPI, Response
 
 from revisit.api.calls import CALLS, Call, Form
-from revisit.service.application import UseCases
-from revisit.service.application.access.callers import current_tenant
 from revisit.service.calls import uses
+from revisit.service.domain.callers import current_tenant
 from revisit.service.rest.access import served
 from revisit.service.rest.answers import answer, answers, body_of, status_of
 from revisit.service.rest.bodies import describe_json, json_body
 from revisit.service.rest.request_form import RequestForm, form_of
+from revisit.service.use_cases import UseCases
 from revisit.service.wire.fields import Fields
 from revisit.service.wire.rendering import rendered
 

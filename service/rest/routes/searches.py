@@ -13,14 +13,13 @@ from starlette.requests import Request
 
 from revisit.api.calls import CALLS
 from revisit.core.errors import BadField
-from revisit.service.application import UseCases
-from revisit.service.application.access.callers import current_tenant
-from revisit.service.application.contract import limits
-from revisit.service.application.contract.identity import TenantId
-from revisit.service.application.query.freshness import Freshness
-from revisit.service.application.query.search_answers import SearchCriteria, SearchResult
-from revisit.service.application.query.searches import LocalizeQuery
 from revisit.service.calls.search import localization_fields, search_fields
+from revisit.service.domain import limits
+from revisit.service.domain.callers import current_tenant
+from revisit.service.domain.identity import TenantId
+from revisit.service.features.index.answers import SearchCriteria, SearchResult
+from revisit.service.features.search.calls import LocalizeQuery
+from revisit.service.features.waiting.freshness import Freshness
 from revisit.service.rest.access import admitted, scopes_of, served
 from revisit.service.rest.answers import answer, answers
 from revisit.service.rest.bodies import (
@@ -45,6 +44,7 @@ from revisit.service.rest.parameters import (
     criteria_of_query,
 )
 from revisit.service.rest.schemas import IN_DIGITS, SearchRequest, bounds
+from revisit.service.use_cases import UseCases
 from revisit.service.wire import names
 from revisit.v1.loop_closure_pb2 import LocalizeResponse as LocalizeAnswer
 from revisit.v1.loop_closure_pb2 import SearchSubmapsResponse as SearchAnswer

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from revisit.service.application.contract import limits
+from revisit.service.domain import limits
 from revisit.v1.comments import COMMENTS
 
 DOCUMENT = json.loads((Path(__file__).resolve().parents[3] / "docs/reference/openapi.json").read_text())

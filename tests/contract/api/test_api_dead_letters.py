@@ -12,11 +12,11 @@ from typer.testing import CliRunner
 from revisit.cli.app import app
 from revisit.core.errors import BadField, DegenerateCloud
 from revisit.sdk.errors import ApiError, OperationFailed
-from revisit.service.application.capacity.backlog import JobPosting
-from revisit.service.application.contract.errors import NotFound, WorkersBusy
-from revisit.service.application.contract.identity import SubmapKey
-from revisit.service.application.contract.states import OperationKind
-from revisit.service.application.query.search_answers import SearchCriteria, criteria_to_json
+from revisit.service.capacity.backlog import JobPosting
+from revisit.service.domain.errors import NotFound, WorkersBusy
+from revisit.service.domain.identity import SubmapKey
+from revisit.service.domain.states import OperationKind
+from revisit.service.features.index.answers import SearchCriteria, criteria_to_json
 from tests.support.fake_recogniser import CANNOT_BE_DESCRIBED, FakeRecogniser
 from tests.support.service_world import SESSION, TENANT, cloud_points, memory_world, open_session, submap
 

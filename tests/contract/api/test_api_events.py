@@ -15,8 +15,8 @@ import pytest
 from revisit import Client
 from revisit.sdk.errors import ErrorDetails, NotFound, ResourceExhausted, Unauthenticated
 from revisit.sdk.retry import RetryPolicy
-from revisit.service.application.contract.states import EventKind
-from revisit.service.application.push.events import Events, EventView
+from revisit.service.domain.states import EventKind
+from revisit.service.features.events.calls import Events, EventView
 from revisit.service.rest import access
 from revisit.service.rest.limits import HttpLimits
 from revisit.service.rest.slow_clients import DeadlineProtocol

@@ -13,7 +13,7 @@ import zstandard
 
 from revisit.core.errors import ErrorCode
 from revisit.formats import QUANTISED, encode_quantised
-from revisit.service.application.contract.records import WorkerRecord
+from revisit.service.domain.records import WorkerRecord
 from revisit.service.rest.routes.page import WEB
 from revisit.service.status import STATUS
 from tests.support.patience import PATIENCE_S

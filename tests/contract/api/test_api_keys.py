@@ -12,10 +12,10 @@ import grpc
 import httpx
 import pytest
 
-from revisit.service.application.access.api_keys import CreateKey, caller_of_key, parse_key
-from revisit.service.application.access.callers import ANYONE
-from revisit.service.application.catalogue.maps import CreateMap
-from revisit.service.application.contract.errors import StorageFull, Unauthenticated
+from revisit.service.domain.callers import ANYONE
+from revisit.service.domain.errors import StorageFull, Unauthenticated
+from revisit.service.features.catalogue.maps import CreateMap
+from revisit.service.features.keys.calls import CreateKey, caller_of_key, parse_key
 from revisit.service.grpc import access as grpc_access
 from revisit.service.grpc import server as grpc_server
 from revisit.v1 import loop_closure_pb2, map_pb2, map_pb2_grpc
@@ -179,7 +179,7 @@ async def test_an_unknown_id_costs_the_same_comparison_as_a_wrong_secret(monkeyp
         compared.append((type(stored), len(stored), shown))
         return hmac.compare_digest(stored, shown)
 
-    monkeypatch.setattr("revisit.service.application.access.api_keys.hmac", SimpleNamespace(compare_digest=spied))
+    monkeypatch.setattr("revisit.service.features.keys.calls.hmac", SimpleNamespace(compare_digest=spied))
     for known in (made.record, None):
         with pytest.raises(Unauthenticated):
             caller_of_key(known, wrong, 0)

@@ -17,8 +17,8 @@ import trustme
 import uvicorn
 
 from revisit.formats import QUANTISED, encode_quantised
-from revisit.service.application.capacity.byte_budget import ByteBudget
-from revisit.service.application.capacity.newcomers import ArrivalRates, Newcomers
+from revisit.service.capacity.byte_budget import ByteBudget
+from revisit.service.capacity.newcomers import ArrivalRates, Newcomers
 from revisit.service.rest.app import create_app
 from revisit.service.rest.door import AGAIN_S
 from revisit.service.rest.door import PATIENCE_S as PATIENCE_AT_THE_DOOR_S

@@ -6,7 +6,7 @@ import httpx
 import pytest
 
 from revisit.core.errors import ErrorCode
-from revisit.service.application.contract.errors import Unavailable
+from revisit.service.domain.errors import Unavailable
 from revisit.service.metrics import MetricsServer, RequestMetrics, StoreMetrics
 from tests.support.service_world import TENANT, memory_world, open_session, submap
 

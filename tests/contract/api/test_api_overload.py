@@ -16,8 +16,8 @@ from google.rpc import error_details_pb2, status_pb2
 from revisit import ApiError, Client, Cloud
 from revisit.formats import QUANTISED, encode_quantised
 from revisit.sdk.retry import RetryPolicy
-from revisit.service.application.capacity import backlog
-from revisit.service.application.capacity.in_flight import CALL_POINTS, CapacityLimits
+from revisit.service.capacity import backlog
+from revisit.service.capacity.in_flight import CALL_POINTS, CapacityLimits
 from revisit.v1 import cloud_pb2, geometry_pb2, ingest_pb2, ingest_pb2_grpc
 from tests.support.live_service import connected, live_service
 from tests.support.patience import PATIENCE_S, eventually

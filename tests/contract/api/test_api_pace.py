@@ -12,8 +12,8 @@ from grpc_health.v1 import health_pb2, health_pb2_grpc
 
 from revisit import ApiError, Client
 from revisit.sdk.retry import RetryPolicy
-from revisit.service.application import UseCases
-from revisit.service.application.capacity.call_pace import CallPace, PaceLimits
+from revisit.service.capacity.call_pace import CallPace, PaceLimits
+from revisit.service.use_cases import UseCases
 from tests.support.credentials import a_key
 from tests.support.live_service import live_service
 from tests.support.service_world import World, memory_world

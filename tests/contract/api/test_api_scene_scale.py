@@ -11,12 +11,12 @@ import pytest
 
 from revisit.core.errors import BadField, DescriptorModelMismatch
 from revisit.sdk.errors import ApiError
-from revisit.service.application.catalogue.maps import CreateMap
-from revisit.service.application.catalogue.sessions import CreateSession
-from revisit.service.application.contract.errors import AlreadyExists
-from revisit.service.application.contract.identity import SubmapKey, content_hash
-from revisit.service.application.ingest.clouds import DecodedCloud
-from revisit.service.application.query.search_answers import SearchCriteria
+from revisit.service.domain.errors import AlreadyExists
+from revisit.service.domain.identity import SubmapKey, content_hash
+from revisit.service.features.catalogue.maps import CreateMap
+from revisit.service.features.catalogue.sessions import CreateSession
+from revisit.service.features.index.answers import SearchCriteria
+from revisit.service.features.ingest.clouds import DecodedCloud
 from tests.support.fake_recogniser import FakeRecogniser
 from tests.support.patience import PATIENCE_S
 from tests.support.service_world import SESSION, TENANT, cloud_points, memory_world, submap

@@ -11,10 +11,10 @@ import pytest
 
 from revisit import ApiError
 from revisit.evaluation.datasets import write_kitti
-from revisit.service.application.capacity import storage_quota
-from revisit.service.application.capacity.storage_quota import POINT_BYTES
-from revisit.service.application.contract.errors import QuotaReached
-from revisit.service.application.contract.identity import TenantId
+from revisit.service.capacity import storage_quota
+from revisit.service.capacity.storage_quota import POINT_BYTES
+from revisit.service.domain.errors import QuotaReached
+from revisit.service.domain.identity import TenantId
 from tests.support.live_service import connected, live_service
 from tests.support.patience import PATIENCE_S
 from tests.support.requirements import ROOT

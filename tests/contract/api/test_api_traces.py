@@ -15,8 +15,8 @@ from opentelemetry.sdk.trace.export.in_memory_span_exporter import InMemorySpanE
 
 from revisit.formats import KITTI, encode_kitti
 from revisit.service.adapters.opentelemetry_tracer import OpenTelemetryTracer
-from revisit.service.application.contract.tracing import NoTracer, validated_traceparent
 from revisit.service.grpc.server import create_server
+from revisit.service.ports.tracing import NoTracer, validated_traceparent
 from revisit.service.rest.app import create_app
 from revisit.service.worker.heartbeat import WorkerIdentity
 from revisit.service.worker.loop import Worker, WorkerLimits

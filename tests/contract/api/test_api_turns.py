@@ -9,10 +9,10 @@ import threading
 import httpx
 import pytest
 
-from revisit.service.application.access.callers import current_tenant
-from revisit.service.application.contract.limits import DESCRIPTOR_LENGTH
-from revisit.service.application.push import events
-from revisit.service.application.query import loop_keypoints
+from revisit.service.domain.callers import current_tenant
+from revisit.service.domain.limits import DESCRIPTOR_LENGTH
+from revisit.service.features.events import calls as events
+from revisit.service.features.loops import keypoints as loop_keypoints
 from revisit.service.rest import bodies
 from revisit.service.rest.app import create_app
 from tests.support.credentials import a_key, bearer

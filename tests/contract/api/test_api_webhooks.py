@@ -9,7 +9,7 @@ import pytest
 
 from revisit import Client
 from revisit.sdk.errors import AlreadyExists, InvalidArgument, NotFound, PermissionDenied, ResourceExhausted
-from revisit.service.application.contract import limits
+from revisit.service.domain import limits
 from tests.support.credentials import a_key
 
 URL = "https://hooks.example.com/revisit"

@@ -5,8 +5,8 @@ from __future__ import annotations
 import dataclasses
 from typing import Any
 
-from revisit.service.application.contract.access_ports import AuditRecord, KeyRecord
-from revisit.service.application.contract.errors import AlreadyExists, NotFound
+from revisit.service.domain.errors import AlreadyExists, NotFound
+from revisit.service.ports.access import AuditRecord, KeyRecord
 
 
 class MemoryKeyRing:

@@ -6,8 +6,8 @@ import hashlib
 from collections.abc import Iterator
 
 from revisit.core.errors import DataLoss
-from revisit.service.application.contract.blobs import StoredBlob
-from revisit.service.application.contract.identity import TenantId
+from revisit.service.domain.identity import TenantId
+from revisit.service.ports.blobs import StoredBlob
 
 
 class MemoryBlobStore:

@@ -8,12 +8,10 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Generic, TypeVar
 
-from revisit.service.application.contract.clock import Instant
-from revisit.service.application.contract.errors import AlreadyExists, NotFound
-from revisit.service.application.contract.events import ChangeOf, EventRecord
-from revisit.service.application.contract.identity import TenantId
-from revisit.service.application.contract.index import IndexChange
-from revisit.service.application.contract.records import (
+from revisit.service.domain.errors import AlreadyExists, NotFound
+from revisit.service.domain.events import ChangeOf, EventRecord
+from revisit.service.domain.identity import TenantId
+from revisit.service.domain.records import (
     DeletionRecord,
     JobRecord,
     LoopRecord,
@@ -22,8 +20,10 @@ from revisit.service.application.contract.records import (
     TurnRecord,
     WorkerRecord,
 )
-from revisit.service.application.contract.repositories import FoundSubmap, PathPoint, PlacedSubmap
-from revisit.service.application.contract.states import EventKind, LoopState, OperationState, SubmapState
+from revisit.service.domain.states import EventKind, LoopState, OperationState, SubmapState
+from revisit.service.ports.clock import Instant
+from revisit.service.ports.index import IndexChange
+from revisit.service.ports.repositories import FoundSubmap, PathPoint, PlacedSubmap
 
 R = TypeVar("R")
 

@@ -8,10 +8,8 @@ from concurrent.futures import Future
 from functools import cached_property
 from typing import Any, TypeVar
 
-from revisit.service.adapters.fair_turns import FairTurns
-from revisit.service.adapters.leased_jobs import LeasedJobs
-from revisit.service.application.contract.events import ChangeOf, on_job_change, on_loop_change, on_version_change
-from revisit.service.application.contract.records import (
+from revisit.service.domain.events import ChangeOf, on_job_change, on_loop_change, on_version_change
+from revisit.service.domain.records import (
     DeletionRecord,
     EarlyCorrectionRecord,
     LoopEventRecord,
@@ -24,8 +22,10 @@ from revisit.service.application.contract.records import (
     SessionPosesRecord,
     SessionRecord,
 )
-from revisit.service.application.contract.transactions import UnitOfWork
-from revisit.service.application.contract.webhooks import DeliveryRecord, WebhookRecord
+from revisit.service.domain.webhooks import DeliveryRecord, WebhookRecord
+from revisit.service.engines.fair_turns import FairTurns
+from revisit.service.engines.leased_jobs import LeasedJobs
+from revisit.service.ports.transactions import UnitOfWork
 from tests.support.memory.access import MemoryAuditTrail, MemoryKeyRing
 from tests.support.memory.repositories import (
     Doomed,

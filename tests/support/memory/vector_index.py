@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from revisit.core.errors import BadField
-from revisit.service.application.contract.index import IndexChange, VectorFilter, VectorMatch
+from revisit.service.ports.index import IndexChange, VectorFilter, VectorMatch
 
 
 class MemoryVectorIndex:

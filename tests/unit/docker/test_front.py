@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 import trustme
 
-from revisit.service.application.contract import limits
-from revisit.service.application.push.events import HEARTBEAT_S
+from revisit.service.domain import limits
+from revisit.service.features.events.calls import HEARTBEAT_S
 from revisit.service.rest.limits import MIB, HttpLimits
 from revisit.service.settings import Settings
 

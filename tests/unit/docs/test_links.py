@@ -47,12 +47,12 @@ def test_every_relative_link_and_anchor_resolves(page):
 
 
 NAMED_FILE = re.compile(r"`((?:[\w.-]+/)+[\w.-]+\.(?:py|c|sh|proto|toml|yaml|svg))`")
-"""A file of the repository in the text, from its top or, for short, from service/application or tests."""
+"""A file of the repository in the text, from its top or, for short, from service or tests."""
 
 
 @pytest.mark.parametrize("page", [page for page in PAGES if page.name != "CHANGELOG.md"], ids=lambda page: page.name)
 def test_every_file_that_a_page_names_exists(page):
-    bases = (ROOT, ROOT / "service/application", ROOT / "tests")
+    bases = (ROOT, ROOT / "service", ROOT / "tests")
     named = set(NAMED_FILE.findall(page.read_text()))
     assert {name for name in named if not any((base / name).exists() for base in bases)} == set()
 

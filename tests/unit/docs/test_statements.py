@@ -6,7 +6,7 @@ import re
 from pathlib import Path
 
 from revisit.cli.keys import revoke_key
-from revisit.service.application.access.admission import STREAM_ENDS_WITHIN_S, STREAM_RECHECK_S
+from revisit.service.features.keys.admission import STREAM_ENDS_WITHIN_S, STREAM_RECHECK_S
 from revisit.service.settings import Settings
 
 ROOT = Path(__file__).resolve().parents[3]

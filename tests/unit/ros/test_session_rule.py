@@ -72,7 +72,7 @@ def test_a_damaged_file_is_as_none(tmp_path, content) -> None:
 def test_ids_are_such_that_the_service_takes_them_and_differ(robot) -> None:
     import re
 
-    from revisit.service.application.contract.limits import ID_PATTERN
+    from revisit.service.domain.limits import ID_PATTERN
 
     drawn = {new_session_id(robot, set()) for _ in range(20)}
     assert all(re.fullmatch(ID_PATTERN, session_id) for session_id in drawn) and len(drawn) > 15

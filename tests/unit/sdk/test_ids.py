@@ -6,7 +6,7 @@ import pytest
 import typer
 
 from revisit.cli.ids import ID, ID_CHARACTERS, id_of, require_id
-from revisit.service.application.contract import limits
+from revisit.service.domain import limits
 
 
 def test_the_command_line_knows_ids_as_the_service_does():

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from revisit.core.errors import BadField
-from revisit.service.application.push.addresses import is_public, validated_url
+from revisit.service.features.webhooks.rules import is_public, validated_url
 
 PUBLIC = ("93.184.215.14", "2606:2800:21f:cb07:6820:80da:af6b:8b2c", "::ffff:93.184.215.14")
 PRIVATE = (

@@ -10,7 +10,7 @@ import pytest
 from typer.testing import CliRunner
 
 from revisit.cli.app import app
-from revisit.service.adapters.sqlite.migration import migrate
+from revisit.service.engines.local.sqlite.migration import migrate
 
 
 @pytest.fixture

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from revisit.service.application.capacity.backlog import Backlog
-from revisit.service.application.capacity.in_flight import CapacityLimits, InFlight
-from revisit.service.application.contract.errors import WorkersBusy
+from revisit.service.capacity.backlog import Backlog
+from revisit.service.capacity.in_flight import CapacityLimits, InFlight
+from revisit.service.domain.errors import WorkersBusy
 from tests.support.service_world import memory_world, open_session, submap
 
 

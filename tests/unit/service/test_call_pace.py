@@ -6,9 +6,9 @@ import asyncio
 
 import pytest
 
-from revisit.service.application.capacity import call_pace
-from revisit.service.application.capacity.call_pace import CallPace, PaceLimits
-from revisit.service.application.contract.errors import RateLimited
+from revisit.service.capacity import call_pace
+from revisit.service.capacity.call_pace import CallPace, PaceLimits
+from revisit.service.domain.errors import RateLimited
 
 LIMITS = PaceLimits(
     client_calls_per_s=10.0,

@@ -7,8 +7,8 @@ import pytest
 
 from revisit.core.errors import TooLarge
 from revisit.formats import DecodedCloud
-from revisit.service.application.contract.limits import SCAN_POINTS, SUBMAP_POINTS
-from revisit.service.application.ingest.clouds import accept_cloud
+from revisit.service.domain.limits import SCAN_POINTS, SUBMAP_POINTS
+from revisit.service.features.ingest.clouds import accept_cloud
 
 
 def test_the_limits_are_those_of_the_documentation():

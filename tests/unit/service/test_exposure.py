@@ -10,8 +10,8 @@ import pytest
 import structlog
 
 from revisit.service.__main__ import main
-from revisit.service.application.access.api_keys import CreateKey
 from revisit.service.composition import offline_use_cases
+from revisit.service.features.keys.calls import CreateKey
 from revisit.service.settings import Settings
 
 ADDRESSES = {"127.0.0.1": False, "::1": False, "localhost": False, "0.0.0.0": True, "::": True, "192.0.2.7": True}
@@ -29,7 +29,7 @@ def served(monkeypatch, tmp_path):
 
 
 def make_key():
-    from revisit.service.adapters.sqlite.migration import migrate
+    from revisit.service.engines.local.sqlite.migration import migrate
 
     migrate(Settings().database)
     with offline_use_cases(Settings()) as use_cases:

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from revisit.service.adapters.files import filesystem
-from revisit.service.adapters.files.filesystem import RemoteFileSystem, filesystem_type, require_local
-from revisit.service.adapters.sqlite.migration import migrate
+from revisit.service.engines.local.files import filesystem
+from revisit.service.engines.local.files.filesystem import RemoteFileSystem, filesystem_type, require_local
+from revisit.service.engines.local.sqlite.migration import migrate
 
 MOUNTS = """\
 /dev/vda / ext4 rw 0 0

@@ -7,9 +7,9 @@ from types import SimpleNamespace
 
 import pytest
 
-from revisit.service.application.contract.events import EventRecord
-from revisit.service.application.query import glance as glance_module
-from revisit.service.application.query.glance import Glance
+from revisit.service.domain.events import EventRecord
+from revisit.service.features.waiting import event_tail as glance_module
+from revisit.service.features.waiting.event_tail import EventTail
 from tests.support.service_world import memory_world
 
 WATCHES = 30
@@ -51,7 +51,7 @@ def store(world):
 
 @pytest.fixture
 def glance(store):
-    return Glance(store, SimpleNamespace(stopping=False), every_s=0.0)
+    return EventTail(store, SimpleNamespace(stopping=False), every_s=0.0)
 
 
 def note(world, map_id, tenant="acme"):
@@ -96,7 +96,7 @@ async def test_only_who_watches_the_map_is_woken(glance, store, world):
 
 async def test_who_waits_looks_again_after_a_while_and_when_the_service_stops(store):
     admission = SimpleNamespace(stopping=False)
-    glance = Glance(store, admission, every_s=0.0)
+    glance = EventTail(store, admission, every_s=0.0)
     waiting = asyncio.create_task(glance.beyond("acme", "town", 5, 0.0))
     await store.look()
     assert not await waiting

@@ -7,7 +7,7 @@ from contextlib import AsyncExitStack, ExitStack, suppress
 
 import pytest
 
-from revisit.service.application.capacity.in_flight import (
+from revisit.service.capacity.in_flight import (
     BESIDE_OTHERS,
     CALL_POINTS,
     LOOK_S,
@@ -17,7 +17,7 @@ from revisit.service.application.capacity.in_flight import (
     CapacityLimits,
     InFlight,
 )
-from revisit.service.application.contract.errors import RateLimited, WorkersBusy
+from revisit.service.domain.errors import RateLimited, WorkersBusy
 
 
 class Clock:
@@ -186,7 +186,7 @@ def test_others_wait_while_their_clouds_are_in_flight(clock):
 
 
 async def test_where_more_keeps_coming_the_line_of_the_tenant_is_short(clock, monkeypatch):
-    monkeypatch.setattr("revisit.service.application.capacity.in_flight.DECODERS", 3)
+    monkeypatch.setattr("revisit.service.capacity.in_flight.DECODERS", 3)
     bounded = intake(clock, clouds=16, tenant_share=0.75)
 
     async def let_in(tenant, *, decode=False):
@@ -229,7 +229,7 @@ async def test_the_patient_wait_for_their_turn_in_order(clock):
 
 
 async def test_the_patient_go_on_where_those_before_them_are_decoded(clock, monkeypatch):
-    monkeypatch.setattr("revisit.service.application.capacity.in_flight.DECODERS", 1)
+    monkeypatch.setattr("revisit.service.capacity.in_flight.DECODERS", 1)
     bounded = intake(clock, clouds=4, tenant_share=1.0)
     bounded.note_overload("anna")
     entered = asyncio.Event()

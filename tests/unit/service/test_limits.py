@@ -8,9 +8,9 @@ import re
 import pytest
 
 from revisit.core.errors import BadField
-from revisit.service.application.contract import limits
-from revisit.service.application.contract.limits import Range
-from revisit.service.application.contract.loop_policy import BOUNDS, LoopPolicy
+from revisit.service.domain import limits
+from revisit.service.domain.limits import Range
+from revisit.service.domain.loop_policy import BOUNDS, LoopPolicy
 
 RANGES = {name: value for name, value in vars(limits).items() if isinstance(value, Range)}
 

@@ -12,7 +12,7 @@ from revisit.core.config import PipelineConfig, VerificationConfig
 from revisit.core.geometry import se3
 from revisit.core.geometry.se3 import pose_row
 from revisit.core.verification import RejectedLoop, RejectionReason
-from revisit.service.application.contract.loop_claims import (
+from revisit.service.features.loops.claims import (
     claim_of_row,
     evidence_of,
     loop_state,

@@ -9,10 +9,10 @@ import pytest
 
 from revisit.core.geometry import se3
 from revisit.core.geometry.se3 import pose_row
-from revisit.service.application.contract.map_frames import KeptSessions, MapFrames
-from revisit.service.application.contract.records import SessionPosesRecord
-from revisit.service.application.contract.repositories import FoundSubmap
-from revisit.service.application.contract.session_poses import PackedSubmaps
+from revisit.service.domain.records import SessionPosesRecord
+from revisit.service.features.graph.map_frames import KeptSessions, MapFrames
+from revisit.service.features.graph.session_poses import PackedSubmaps
+from revisit.service.ports.repositories import FoundSubmap
 from tests.support.memory.transactions import MemoryTransactions
 from tests.support.records import TENANT, a_map, a_session
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from revisit.service.application.capacity import call_pace, newcomers
-from revisit.service.application.capacity.newcomers import ArrivalRates, Newcomers, Shown, holder_of
+from revisit.service.capacity import call_pace, newcomers
+from revisit.service.capacity.newcomers import ArrivalRates, Newcomers, Shown, holder_of
 
 
 @pytest.fixture

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from revisit.service.adapters.sql.packed_columns import PackedEvidence, PackedPose, packed_brief, unpacked_brief
+from revisit.service.engines.sql.packed_columns import PackedEvidence, PackedPose, packed_brief, unpacked_brief
 
 POSE = (*np.random.default_rng(3).normal(size=12).tolist(), 0.0, 0.0, 0.0, 1.0)
 DIALECT = None  # neither type asks for it

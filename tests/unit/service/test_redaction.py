@@ -10,7 +10,7 @@ import secrets
 import pytest
 import structlog
 
-from revisit.service.application.access.api_keys import parse_key
+from revisit.service.features.keys.calls import parse_key
 from revisit.service.redaction import redacted
 from revisit.service.telemetry import configure_logging
 from tests.support.credentials import a_key

@@ -7,8 +7,8 @@ from dataclasses import replace
 import pytest
 from pydantic import ValidationError
 
-from revisit.service.application import Policy
-from revisit.service.application.contract.identity import content_hash, validated_id
+from revisit.service.domain.identity import content_hash, validated_id
+from revisit.service.domain.policy import Policy
 from revisit.service.settings import FOR_TESTS, GONE, GROUPS, Settings
 from tests.support.records import a_map
 

@@ -7,8 +7,8 @@ import asyncio
 import pytest
 
 from revisit.core.errors import RevisitError
-from revisit.service.application.contract.errors import NotFound
-from revisit.service.application.query.shared_looks import SharedLooks
+from revisit.service.domain.errors import NotFound
+from revisit.service.features.waiting.shared_poll import SharedPoll
 
 WAITING = 40
 
@@ -36,7 +36,7 @@ def store():
 
 @pytest.fixture
 def looks(store):
-    return SharedLooks(store, store.not_come)
+    return SharedPoll(store, store.not_come)
 
 
 async def test_all_that_wait_beside_one_key_are_told_by_one_read(looks, store):
@@ -80,7 +80,7 @@ def test_it_works_on_the_loop_of_the_gateway_too():
 
     async def ask():
         store = Store()
-        looks = SharedLooks(store, store.not_come)
+        looks = SharedPoll(store, store.not_come)
         return await asyncio.gather(*(looks.has_come("acme", 1, within_s) for within_s in (0.0, 0.0, 0.001)))
 
     with asyncio.Runner(loop_factory=uvloop.new_event_loop) as runner:

@@ -6,9 +6,9 @@ import asyncio
 
 import pytest
 
-from revisit.service.application.capacity.call_slots import CallLimits, CallSlots, waiting, watching
-from revisit.service.application.capacity.slots import Share, Slots
-from revisit.service.application.contract.errors import RateLimited
+from revisit.service.capacity.call_slots import CallLimits, CallSlots, waiting, watching
+from revisit.service.capacity.slots import Share, Slots
+from revisit.service.domain.errors import RateLimited
 
 SHARE = Share("calls", 16, 12, 8)
 

@@ -13,10 +13,10 @@ from alembic.script import ScriptDirectory
 
 from revisit.cli.app import run
 from revisit.service.__main__ import main
-from revisit.service.adapters.sqlite.migration import MIGRATIONS, NEWEST_REVISION, current_revision
-from revisit.service.application.contract.errors import RateLimited
-from revisit.service.application.contract.records import WorkerRecord
-from revisit.service.composition import build_installation
+from revisit.service.composition import build_context
+from revisit.service.domain.errors import RateLimited
+from revisit.service.domain.records import WorkerRecord
+from revisit.service.engines.local.sqlite.migration import MIGRATIONS, NEWEST_REVISION, current_revision
 from revisit.service.settings import Settings
 from revisit.service.telemetry import configure_logging
 
@@ -133,7 +133,7 @@ def test_a_worker_that_never_showed_itself_is_not_seen(capsys):
 
 def test_a_worker_that_beats_is_seen(home):
     main(["migrate"])
-    context = build_installation(Settings(), gateway=False)
+    context = build_context(Settings(), gateway=False)
     now = context.clock.instant()
     context.transactions.write(lambda uow: uow.workers.beat(WorkerRecord("w", "fake-1", now.epoch, now.ms))).result()
     context.transactions.close()
@@ -143,7 +143,7 @@ def test_a_worker_that_beats_is_seen(home):
 
 def test_whoever_a_rate_limit_refuses_comes_at_a_slower_pace():
     main(["migrate"])
-    context = build_installation(Settings(), gateway=False)
+    context = build_context(Settings(), gateway=False)
     context.transactions.close()
     context.in_flight.charge_call("acme", 10**12)
     assert context.pace._refused_until_s == {}

@@ -14,7 +14,7 @@ from revisit.core.codec.mesh import Mesh, pack_mesh, unpack_mesh
 from revisit.core.errors import BadField, DataLoss, EmptyCloud, MalformedBody, TooLarge, UnsupportedEncoding
 from revisit.formats import KITTI, QUANTISED, DecodedCloud, encode_kitti, encode_quantised
 from revisit.formats.quantised import MAGIC as QUANTISED_MAGIC
-from revisit.service.application.ingest.clouds import EncodedCloud, StoredCloud, accept_cloud, pack_cloud, unpack_cloud
+from revisit.service.features.ingest.clouds import EncodedCloud, StoredCloud, accept_cloud, pack_cloud, unpack_cloud
 from tests.support.service_world import cloud_points
 
 FLOATS = st.floats(-1e4, 1e4, width=32)

@@ -10,9 +10,9 @@ import pytest
 
 from revisit.core.config import PipelineConfig, SubmapConfig
 from revisit.core.geometry.se3 import pose_matrix, pose_row
-from revisit.service.application.contract.limits import SCAN_POINTS
-from revisit.service.application.ingest import submap_source
-from revisit.service.application.ingest.submap_source import MAX_SCANS, chosen_seqs
+from revisit.service.domain.limits import SCAN_POINTS
+from revisit.service.features.ingest import rows as submap_source
+from revisit.service.features.ingest.rows import MAX_SCANS, chosen_seqs
 from tests.support.service_world import TENANT, memory_world, open_session, pose, scan
 
 

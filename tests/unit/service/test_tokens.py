@@ -18,7 +18,7 @@ from cryptography.hazmat.primitives import serialization
 from cryptography.hazmat.primitives.asymmetric import ec, rsa
 
 from revisit.service.adapters.tokens import MAX_JWKS_BYTES, IssuerKeys, JwtVerifier, fetch_https, read_file
-from revisit.service.application.contract.errors import Unauthenticated
+from revisit.service.domain.errors import Unauthenticated
 
 NOW_S = 1_700_000_000.0
 RSA_KEY = rsa.generate_private_key(public_exponent=65537, key_size=2048)

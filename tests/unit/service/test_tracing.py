@@ -6,7 +6,7 @@ import contextvars
 
 import structlog
 
-from revisit.service.application.contract.tracing import RequestContext, current_request, within_request
+from revisit.service.ports.tracing import RequestContext, current_request, within_request
 
 
 def test_work_has_the_innermost_origin_and_the_outer_one_afterwards() -> None:

@@ -7,7 +7,7 @@ import contextlib
 
 import pytest
 
-from revisit.service.application.capacity.in_flight import Turns
+from revisit.service.capacity.in_flight import Turns
 
 
 @pytest.fixture

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import asyncio
 
-from revisit.service.application.housekeeping import upkeep
-from revisit.service.application.housekeeping.upkeep import Chore, Upkeep
+from revisit.service.features.upkeep import chores as upkeep
+from revisit.service.features.upkeep.chores import Chore, Upkeep
 
 
 async def test_chores_of_one_rhythm_are_all_done_at_once_at_the_start_only(monkeypatch):

@@ -8,8 +8,8 @@ import pytest
 
 from revisit.sdk.errors import Unauthenticated
 from revisit.sdk.webhooks import verified
-from revisit.service.application.push.deliveries import signature_of
-from revisit.service.application.push.webhooks import new_secret
+from revisit.service.features.webhooks.calls import new_secret
+from revisit.service.features.webhooks.deliveries import signature_of
 
 SECRET = "whsec_AAECAwQFBgcICQoLDA0ODxAREhMUFRYXGBkaGxwdHh8="
 BODY = b'{"events": []}'

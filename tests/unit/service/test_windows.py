@@ -9,10 +9,10 @@ from hypothesis import strategies as st
 from revisit.core.config import SubmapConfig
 from revisit.core.scan import CloudReport, Scan
 from revisit.core.submap import SubmapBuilder
-from revisit.service.application.contract.identity import TenantId
-from revisit.service.application.contract.records import SessionRecord
-from revisit.service.application.ingest.scans import advance
-from revisit.service.application.ingest.windows import ScanRange, remainder
+from revisit.service.domain.identity import TenantId
+from revisit.service.domain.records import SessionRecord
+from revisit.service.features.ingest.calls import advance
+from revisit.service.features.ingest.rules import ScanRange, remainder
 
 NEW = SessionRecord(
     TenantId("t"), "town", "run", "", None, "ACTIVE", 0, 1, 0.0, 0.0, 1, None, created_at_ns=0, finished_at_ns=None

@@ -14,14 +14,10 @@ from google.protobuf.struct_pb2 import Struct
 from revisit.core.geometry.se3 import pose_row
 from revisit.core.scan import CloudReport
 from revisit.sdk import json_answers
-from revisit.service.application.catalogue.maps import MapView
-from revisit.service.application.catalogue.paging import Page
-from revisit.service.application.catalogue.robots import RobotView
-from revisit.service.application.catalogue.sessions import SessionView
-from revisit.service.application.contract.identity import SessionKey, SubmapKey
-from revisit.service.application.contract.loop_policy import LoopPolicy
-from revisit.service.application.contract.map_frames import LoopInMap, MapPose
-from revisit.service.application.contract.states import (
+from revisit.service.calls import catalogue, ingest, loops, mapping, operations, search
+from revisit.service.domain.identity import SessionKey, SubmapKey
+from revisit.service.domain.loop_policy import LoopPolicy
+from revisit.service.domain.states import (
     GraphState,
     LoopState,
     OperationKind,
@@ -29,14 +25,18 @@ from revisit.service.application.contract.states import (
     SessionState,
     SubmapState,
 )
-from revisit.service.application.contract.views import OperationFailure, OperationView, SubmapView
-from revisit.service.application.ingest.scans import ScanAck
-from revisit.service.application.ingest.submap_posting import PostedSubmap
-from revisit.service.application.mapping.corrections import CorrectionView
-from revisit.service.application.mapping.versions import MapVersionView, SubmapPoseView
-from revisit.service.application.query.loops import LoopClosureView
-from revisit.service.application.query.search_answers import Localization, LocalizedCandidate, SearchHit, SearchResult
-from revisit.service.calls import catalogue, ingest, loops, mapping, operations, search
+from revisit.service.features.catalogue.maps import MapView
+from revisit.service.features.catalogue.robots import RobotView
+from revisit.service.features.catalogue.sessions import SessionView
+from revisit.service.features.corrections.calls import CorrectionView
+from revisit.service.features.graph.map_frames import LoopInMap, MapPose
+from revisit.service.features.index.answers import Localization, LocalizedCandidate, SearchHit, SearchResult
+from revisit.service.features.ingest.calls import ScanAck
+from revisit.service.features.ingest.posting import PostedSubmap
+from revisit.service.features.loops.calls import LoopClosureView
+from revisit.service.features.optimisation.calls import MapVersionView, SubmapPoseView
+from revisit.service.features.resources.paging import Page
+from revisit.service.features.resources.views import OperationFailure, OperationView, SubmapView
 from revisit.service.wire import openapi
 from revisit.service.wire.json_form import json_form
 from revisit.service.wire.rendering import Listed

@@ -1,4 +1,0 @@
-"""SQLite as the database engine: connections and pragmas, the writer lock, group commit, errors, migration, backup.
-
-It runs the statements of `adapters.sql`, which know nothing of it. Why SQLite is driven as it is: docs/decisions/0033.
-"""

@@ -1,1 +1,0 @@
-"""Who may do what: admission, API keys, callers, the audit log."""

@@ -1,1 +1,0 @@
-"""The resources: maps, robots, sessions, submaps, loop closures; listing and deleting them."""

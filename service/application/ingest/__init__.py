@@ -1,1 +1,0 @@
-"""From scans and clouds to stored submaps."""

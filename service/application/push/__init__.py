@@ -1,1 +1,0 @@
-"""Telling those who want to know: watching the events of a map, and webhooks."""

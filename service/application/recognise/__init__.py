@@ -1,1 +1,0 @@
-"""What a worker does: describe a submap, recall, verify, commit."""

@@ -1,0 +1,1 @@
+"""Whether a request is accepted now: rates, slots, bytes, backlog, storage."""

@@ -1,0 +1,123 @@
+"""The backlog: jobs that wait in the queue, with a limit for each tenant; and posting a job to it."""
+
+from __future__ import annotations
+
+import secrets
+import time
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from revisit.service.capacity.in_flight import InFlight
+from revisit.service.domain.errors import WorkersBusy
+from revisit.service.domain.identity import TenantId
+from revisit.service.domain.policy import Policy
+from revisit.service.domain.records import JobRecord
+from revisit.service.domain.states import OperationKind, OperationState
+from revisit.service.ports.clock import Clock
+from revisit.service.ports.storage import Storage
+from revisit.service.ports.tracing import current_request
+from revisit.service.ports.transactions import UnitOfWork
+
+QUEUE_RETRY_S = 5.0
+"""When to come back where the backlog is full."""
+
+RECOUNT_S = 0.05
+"""A backlog that seems full is counted again at most this often, so that refusing costs next to nothing."""
+
+
+class Backlog:
+    """How many jobs of each tenant wait, as last counted, and the limit."""
+
+    def __init__(
+        self, storage: Storage, in_flight: InFlight, most: int, now_s: Callable[[], float] = time.monotonic
+    ) -> None:
+        """At most `most` jobs of a tenant wait; clouds in flight count as jobs to come. `now_s`: a monotonic clock."""
+        self._storage = storage
+        self._in_flight = in_flight
+        self._most = most
+        self._now_s = now_s
+        self._waiting: dict[TenantId, int] = {}
+        self._recounted_s: dict[TenantId, float] = {}
+
+    async def precheck(self, tenant: TenantId) -> None:
+        """Raises WorkersBusy where the backlog seems full, before any work is done. `require_space` decides."""
+        if self._seems_full(tenant) and not self._recounted_lately(tenant):
+            self._waiting[tenant] = await self._storage.read(lambda uow: _waiting(uow, tenant))
+            self._recounted_s[tenant] = self._now_s()
+        if self._seems_full(tenant):
+            self._in_flight.note_overload(tenant)
+            raise self._full()
+
+    def require_space(self, uow: UnitOfWork, tenant: TenantId) -> None:
+        """Raises WorkersBusy where the tenant's backlog is full; otherwise counts one job more. From any thread."""
+        waiting = _waiting(uow, tenant)
+        self._waiting[tenant] = min(waiting + 1, self._most)
+        if waiting >= self._most:
+            raise self._full()
+
+    def _seems_full(self, tenant: TenantId) -> bool:
+        return self._waiting.get(tenant, 0) + self._in_flight.clouds_of(tenant) >= self._most
+
+    def _recounted_lately(self, tenant: TenantId) -> bool:
+        recounted_s = self._recounted_s.get(tenant)
+        return recounted_s is not None and self._now_s() < recounted_s + RECOUNT_S
+
+    def _full(self) -> WorkersBusy:
+        message = f"{self._most} jobs are waiting; try again later with the same id"
+        return WorkersBusy(message, retry_after_s=QUEUE_RETRY_S)
+
+
+def _waiting(uow: UnitOfWork, tenant: TenantId) -> int:
+    return uow.jobs.count(tenant, state=OperationState.QUEUED.value)
+
+
+QUERIES = (
+    OperationKind.SEARCH_CLOUD, OperationKind.LOCALIZE, OperationKind.MAKE_TILE, OperationKind.MEASURE_MAP,
+    OperationKind.MAKE_MESH,
+)  # fmt: skip
+"""The kinds of jobs for which a client waits."""
+
+
+def same_job(
+    uow: UnitOfWork,
+    tenant: TenantId,
+    kind: OperationKind,
+    subject: str,
+    payload: dict[str, Any],
+    states: Sequence[OperationState] = (OperationState.QUEUED,),
+) -> JobRecord | None:
+    """A job that does the same and is in one of these states, the first of them first."""
+    found = (uow.jobs.find(tenant, state=state.value, kind=kind.value, subject=subject) for state in states)
+    return next((job for jobs in found for job in jobs if job.payload == payload), None)
+
+
+class JobPosting:
+    """Adds jobs to the queue, within the limit of the backlog."""
+
+    def __init__(self, backlog: Backlog, clock: Clock, policy: Policy) -> None:
+        """`policy` says how many attempts a job has."""
+        self._backlog = backlog
+        self._clock = clock
+        self._policy = policy
+
+    def post(
+        self, uow: UnitOfWork, tenant: TenantId, kind: OperationKind, subject: str, payload: dict[str, Any]
+    ) -> JobRecord:
+        """Queue a new job. Those for which a client waits go before others. Raises WorkersBusy."""
+        self._backlog.require_space(uow, tenant)
+        request = current_request()
+        job = JobRecord(
+            tenant=tenant,
+            operation_id=f"op-{secrets.token_hex(10)}",
+            kind=kind.value,
+            state=OperationState.QUEUED.value,
+            subject=subject,
+            payload=payload,
+            attempts=0,
+            max_attempts=self._policy.max_attempts,
+            created_at_ns=self._clock.wall_ns(),
+            priority=0 if kind in QUERIES else 1,
+            request_id=request.request_id,
+            traceparent=request.span.traceparent,
+        )
+        return uow.queue.enqueue(job)

@@ -1,0 +1,110 @@
+"""The budget of bytes in flight: bodies, messages and files that the gateway holds for its clients, with a ceiling."""
+
+from __future__ import annotations
+
+import asyncio
+from collections import Counter, deque
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from revisit.service.domain.errors import WorkersBusy
+from revisit.service.domain.identity import TenantId
+
+MIB = 2**20
+
+BUDGET_BYTES = 112 * MIB
+"""With what the process needs by itself, and what decoding takes for a moment, it stays below 768 MiB."""
+
+TENANT_SHARE = 0.75
+
+PATIENCE_S = 5.0
+"""For so long a message or a file waits, unread and unmade, for others to be done."""
+
+RETRY_S = 2.0
+"""When to come back where there is no room."""
+
+
+class HeldBytes:
+    """What one request holds of the budget."""
+
+    def __init__(self, budget: ByteBudget, tenant: TenantId) -> None:
+        self._budget = budget
+        self._tenant = tenant
+        self.bytes = 0
+
+    async def wait_for(self, count: int) -> None:
+        """Hold `count` bytes from now on. Raises WorkersBusy where there is no room for so long."""
+        if not self._budget.has_room(self._tenant, count - self.bytes):
+            await self._budget.turn(self._tenant, count - self.bytes)
+        self.set(count)
+
+    def set(self, count: int) -> None:
+        """Hold `count` bytes from now on. Raises WorkersBusy, and holds what it held, where there is no room."""
+        self._budget.take(self._tenant, count - self.bytes)
+        self.bytes = count
+
+
+class ByteBudget:
+    """Counts the bytes that are held, in all and by tenant. All calls come from the event loop."""
+
+    def __init__(self, most_bytes: int = BUDGET_BYTES, patience_s: float = PATIENCE_S) -> None:
+        """At most `most_bytes` in all, of which a tenant has `TENANT_SHARE`."""
+        self._most = most_bytes
+        self._patience_s = patience_s
+        self._held: Counter[TenantId] = Counter()
+        self._waiting: deque[tuple[TenantId, int, asyncio.Future[None]]] = deque()
+
+    @property
+    def held_bytes(self) -> int:
+        """Held in all."""
+        return self._held.total()
+
+    @contextmanager
+    def hold(self, tenant: TenantId) -> Iterator[HeldBytes]:
+        """What one request of `tenant` holds, nothing at first; all of it is given back at the end of the block."""
+        held = HeldBytes(self, tenant)
+        try:
+            yield held
+        finally:
+            held.set(0)
+
+    def has_room(self, tenant: TenantId, more: int) -> bool:
+        """Whether `tenant` may hold `more` bytes."""
+        share = int(self._most * TENANT_SHARE)
+        return self.held_bytes + more <= self._most and self._held[tenant] + more <= share
+
+    def take(self, tenant: TenantId, more: int) -> None:
+        """Count `more` bytes, or give them back where negative. Raises WorkersBusy where there is no room."""
+        if more > 0 and not self.has_room(tenant, more):
+            raise _full()
+        self._held[tenant] += more
+        if not self._held[tenant]:
+            del self._held[tenant]
+        self._wake()
+
+    async def turn(self, tenant: TenantId, more: int) -> None:
+        """Wait until `tenant` may hold `more` bytes, which are to be taken at once. Raises WorkersBusy."""
+        turn: asyncio.Future[None] = asyncio.get_running_loop().create_future()
+        waiter = (tenant, more, turn)
+        self._waiting.append(waiter)
+        try:
+            async with asyncio.timeout(self._patience_s):
+                await turn
+        except TimeoutError as error:
+            raise _full() from error
+        finally:
+            if waiter in self._waiting:
+                self._waiting.remove(waiter)
+
+    def _wake(self) -> None:
+        """Let the first that fits go on; once it has taken its bytes, the next is looked at."""
+        for waiter in tuple(self._waiting):
+            tenant, more, turn = waiter
+            if self.has_room(tenant, more) and not turn.done():
+                self._waiting.remove(waiter)
+                turn.set_result(None)
+                return
+
+
+def _full() -> WorkersBusy:
+    return WorkersBusy("too many bytes are in flight; try again later with the same id", retry_after_s=RETRY_S)

@@ -1,0 +1,173 @@
+"""How many calls may begin each second. Whoever begins more waits, and is refused only where many wait already.
+
+A call costs the event loop about a millisecond, refused or not, and answers do not stop who sends the next call at
+once. Rate limits in points cannot help: what is refused by them costs that millisecond again.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import Awaitable, Callable, Iterable
+from dataclasses import dataclass
+from functools import partial
+from typing import TypeVar
+
+from revisit.service.capacity.in_flight import TokenBucket, wait_while
+from revisit.service.domain.errors import RateLimited
+from revisit.service.domain.identity import TenantId
+
+Known = TypeVar("Known")
+
+MOST_BUCKETS = 4096
+"""Callers that are remembered at the same time. Those that have not called for long are forgotten."""
+
+
+UNREAD_BYTES_A_CALL = 64 * 2**10
+"""So many bytes of a body that was refused unread take about as long to throw away as a call takes to refuse."""
+
+JSON_BYTES_A_CALL = 16 * 2**10
+"""So many bytes of JSON take about as long to read as a call takes without them."""
+
+MOST_CALLS_A_BODY = 20
+
+REFUSED_FOR_S = 1.0
+"""For so long after a client was refused for its rate, its calls come at the pace of `over_rate_calls_per_s`."""
+
+LOOK_S, LOOKS = 0.004, 6
+"""So often, and for so long, such a call looks whether clouds of other tenants are stored just now: they go first."""
+
+
+@dataclass(frozen=True)
+class PaceLimits:
+    """Calls that begin, a second and in all. The first `burst` of calls that come together wait for nothing."""
+
+    client_calls_per_s: float = 300.0
+    """About a quarter of one core."""
+    tenant_calls_per_s: float = 450.0
+    over_rate_calls_per_s: float = 110.0
+    """Of a client that sends more than its rate limit takes: ten times what a service takes of large clouds."""
+    refusals_per_s: float = 100.0
+    """Of one address, to callers that nobody knows."""
+    public_calls_per_s: float = 100.0
+    """Of one address, without a credential; health is told beyond them."""
+    burst: int = 20
+    """Together they hold up the event loop for about 20 ms; as many of one address are refused at once."""
+    most_wait_s: float = 3.0
+    waiting: int = 640
+    """Calls of all callers that wait; each holds a request or a call, but no slot yet."""
+    strangers_waiting: int = 160
+    """As `waiting`, of callers that nobody knows: they keep no one else from waiting."""
+
+
+@dataclass
+class _Line:
+    """Calls that wait, at most so many."""
+
+    most: int
+    length: int = 0
+
+
+class CallPace:
+    """Holds calls back. All calls of its methods come from the event loop."""
+
+    def __init__(
+        self,
+        limits: PaceLimits = PaceLimits(),
+        now_s: Callable[[], float] = time.monotonic,
+        sleep: Callable[[float], Awaitable[None]] = asyncio.sleep,
+        others_wait: Callable[[TenantId], bool] = lambda _tenant: False,
+    ) -> None:
+        """`now_s` is a monotonic clock, seconds; `sleep` waits for so many.
+
+        `others_wait` tells whether a cloud of another tenant is in flight.
+        """
+        self._limits = limits
+        self._others_wait = others_wait
+        self._now_s = now_s
+        self._sleep = sleep
+        self._buckets: dict[tuple[str, ...], TokenBucket] = {}
+        self._refused_until_s: dict[tuple[str, ...], float] = {}
+        self._callers, self._strangers = _Line(limits.waiting), _Line(limits.strangers_waiting)
+
+    @property
+    def waiting(self) -> int:
+        """Calls that wait."""
+        return self._callers.length + self._strangers.length
+
+    async def turn(self, tenant: TenantId, client: str) -> None:
+        """Return when a call of the tenant's client may begin. Raises RateLimited where too many wait."""
+        buckets, over_rate = self._buckets_of(tenant, client), ("over rate", tenant, client)
+        if self._refused_until_s.get(over_rate, 0.0) <= self._now_s():
+            await self._wait(self._callers, buckets)
+            return
+        await self._wait(self._callers, (*buckets, self._bucket(over_rate, self._limits.over_rate_calls_per_s)))
+        await wait_while(partial(self._others_wait, tenant), LOOK_S, LOOKS, self._sleep)
+
+    def note_refused(self, tenant: TenantId, client: str) -> None:
+        """The client was told to come back later: whoever does not wait by itself waits here."""
+        _remember(self._refused_until_s, ("over rate", tenant, client), self._now_s() + REFUSED_FOR_S)
+
+    def note_unread(self, tenant: TenantId, client: str, unread_bytes: int) -> None:
+        """A body of the client was refused before it was read: its further calls wait for as long as that takes."""
+        self._note(tenant, client, unread_bytes / UNREAD_BYTES_A_CALL)
+
+    def note_json(self, tenant: TenantId, client: str, json_bytes: int) -> None:
+        """So much JSON of the client is read, good or bad: its further calls wait for as long as that takes."""
+        self._note(tenant, client, json_bytes / JSON_BYTES_A_CALL)
+
+    def _note(self, tenant: TenantId, client: str, calls: float) -> None:
+        for bucket in self._buckets_of(tenant, client):
+            bucket.take(min(calls, MOST_CALLS_A_BODY), self._now_s())
+
+    async def refusal(self, address: str) -> None:
+        """Return when a caller that nobody knows may be told so; at once where too many wait."""
+        try:
+            await self._wait(self._strangers, (self._bucket(("address", address), self._limits.refusals_per_s),))
+        except RateLimited:
+            return
+
+    async def public(self, address: str) -> None:
+        """Return when a call without a credential may begin. Raises RateLimited where too many wait."""
+        await self._wait(self._strangers, (self._bucket(("public", address), self._limits.public_calls_per_s),))
+
+    async def _wait(self, line: _Line, buckets: Iterable[TokenBucket]) -> None:
+        """Spend a token of each bucket and wait until they are there; a call that is given up has spent them, too."""
+        now_s = self._now_s()
+        wait_s = max(bucket.wait_s(now_s, 1.0) for bucket in buckets)
+        if wait_s > self._limits.most_wait_s or (wait_s > 0.0 and line.length >= line.most):
+            raise RateLimited("too many calls wait already: begin fewer at a time", retry_after_s=wait_s)
+        for bucket in buckets:
+            bucket.take(1.0, now_s)
+        if wait_s > 0.0:
+            line.length += 1
+            try:
+                await self._sleep(wait_s)
+            finally:
+                line.length -= 1
+
+    def _buckets_of(self, tenant: TenantId, client: str) -> tuple[TokenBucket, ...]:
+        limits = self._limits
+        own = self._bucket(("client", tenant, client), limits.client_calls_per_s)
+        return own, self._bucket(("tenant", tenant), limits.tenant_calls_per_s)
+
+    def _bucket(self, caller: tuple[str, ...], per_s: float) -> TokenBucket:
+        """The caller's bucket, which is now the last to be forgotten."""
+        return bucket_of(self._buckets, caller, per_s, self._limits.burst, self._now_s())
+
+
+def bucket_of(
+    buckets: dict[tuple[str, ...], TokenBucket], holder: tuple[str, ...], per_s: float, burst: float, now_s: float
+) -> TokenBucket:
+    """The bucket of a holder, who is now the last to be forgotten; a full one of a holder that is not known."""
+    bucket = buckets.get(holder) or TokenBucket.full(per_s, burst, now_s)
+    _remember(buckets, holder, bucket)
+    return bucket
+
+
+def _remember(known: dict[tuple[str, ...], Known], caller: tuple[str, ...], what: Known) -> None:
+    """Know that of the caller, who is now the last to be forgotten."""
+    known.pop(caller, None)
+    known[caller] = what
+    if len(known) > MOST_BUCKETS:
+        del known[next(iter(known))]

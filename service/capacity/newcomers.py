@@ -1,0 +1,186 @@
+"""Newcomers: connections that have not shown yet who they are, bounded by the address that they come from.
+
+Bounded in how many there are at the same time, and in how many begin a second: a connection that asks for one thing
+costs more than a millisecond, and thousands a second leave no time for others.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import ipaddress
+import itertools
+import secrets
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import StrEnum
+from functools import lru_cache
+
+from revisit.service.capacity.call_pace import MOST_BUCKETS, bucket_of
+from revisit.service.capacity.in_flight import TokenBucket
+
+ADDRESS_NEWCOMERS = 256
+"""Of one address at the same time. Behind one address may be a fleet or a proxy, whose newcomers stay so for some
+milliseconds; half of what the HTTP side lets in."""
+
+NETWORK_BITS = 64
+"""Of an IPv6 address: whoever has one has all that begin alike."""
+
+NETWORK_BITS_OF_IPV4 = 24
+"""Addresses that begin alike have a pace together, too."""
+
+KNOWN_S = 600.0
+"""For so long after a call a credential is known."""
+
+Leave = Callable[[], None]
+"""Ends a connection."""
+
+
+class Shown(StrEnum):
+    """What a connection has shown of itself."""
+
+    NOTHING = "nothing"
+    READINESS = "readiness"
+    """It asks whether the service is ready."""
+    UNKNOWN = "unknown"
+    """A credential that is not known, or nothing that can be read."""
+
+
+@dataclass(frozen=True)
+class ArrivalRates:
+    """Connections that may begin a second, and `burst_s` times as many at once.
+
+    Those that are vouched for do not count: a fleet behind one address whose robots show their keys never comes near.
+    """
+
+    stranger_per_s: float = 30.0
+    """Of one address, that show no credential."""
+    unknown_per_s: float = 100.0
+    """Of one address, that show a credential which is not known, or that are encrypted, so that nothing can be seen."""
+    network_times: float = 1.5
+    """So many times as many of a /24 or a /64."""
+    all_times: float = 2.0
+    client_per_s: float = 100.0
+    """Of one credential, which do not count for its address."""
+    burst_s: float = 2.0
+
+
+class Newcomers:
+    """One too many of an address takes the place of the one of that address that has been a newcomer the longest.
+
+    All calls come from the event loop.
+    """
+
+    def __init__(
+        self,
+        most: int = ADDRESS_NEWCOMERS,
+        rates: ArrivalRates = ArrivalRates(),
+        now_s: Callable[[], float] = time.monotonic,
+    ) -> None:
+        """`most` of each address; `now_s` is a monotonic clock, seconds."""
+        self._most = most
+        self._rates = rates
+        self._now_s = now_s
+        self._numbers = itertools.count()
+        self._by_holder: dict[str, dict[int, Leave]] = {}
+        self._buckets: dict[tuple[str, ...], TokenBucket] = {}
+        self._known: dict[bytes, float] = {}
+        self._secret = secrets.token_bytes(16)
+
+    def may_begin(self, address: str, shown: Shown = Shown.NOTHING) -> bool:
+        """Whether a connection from an address may begin now; then it counts, until it is vouched for.
+
+        What a connection has shown of itself has a pace of its own.
+        """
+        buckets, now_s = self._buckets_of(address, shown), self._now_s()
+        if any(bucket.wait_s(now_s, 1.0) > 0.0 for bucket in buckets):
+            return False
+        for bucket in buckets:
+            bucket.take(1.0, now_s)
+        return True
+
+    def vouch(self, address: str, credential: str | None, shown: Shown | None = Shown.NOTHING) -> None:
+        """Somebody was admitted over a connection that began: it does not count, and the credential is known.
+
+        `shown` is None where it did not count. Of one credential, so many connections do not count.
+        """
+        now_s = self._now_s()
+        if shown is not None and (credential is None or self.may_return(credential)):
+            for bucket in self._buckets_of(address, shown):
+                bucket.take(-1.0, now_s)
+        if credential is not None:
+            digest = self._digest(credential)
+            self._known.pop(digest, None)
+            self._known[digest] = now_s
+            if len(self._known) > MOST_BUCKETS:
+                del self._known[next(iter(self._known))]
+
+    def is_known(self, credential: str) -> bool:
+        """Whether somebody was admitted with this credential of late."""
+        return self._known.get(self._digest(credential), -KNOWN_S) + KNOWN_S > self._now_s()
+
+    def may_return(self, credential: str) -> bool:
+        """Whether one more connection of a credential may begin for its own sake; then it counts for it."""
+        rate, now_s = self._rates.client_per_s, self._now_s()
+        holder = ("client", self._digest(credential).hex())
+        bucket = bucket_of(self._buckets, holder, rate, rate * self._rates.burst_s, now_s)
+        if bucket.wait_s(now_s, 1.0) > 0.0:
+            return False
+        bucket.take(1.0, now_s)
+        return True
+
+    def _buckets_of(self, address: str, shown: Shown) -> tuple[TokenBucket, ...]:
+        rates, now_s = self._rates, self._now_s()
+        per_s = rates.unknown_per_s if shown is Shown.UNKNOWN else rates.stranger_per_s
+        of = {
+            (shown, "address", holder_of(address)): per_s,
+            (shown, "network", network_of(address)): per_s * rates.network_times,
+            (shown, "all"): per_s * rates.all_times,
+        }
+        return tuple(bucket_of(self._buckets, key, rate, rate * rates.burst_s, now_s) for key, rate in of.items())
+
+    def _digest(self, credential: str) -> bytes:
+        return hashlib.blake2b(credential.encode(), digest_size=16, key=self._secret).digest()
+
+    def arrive(self, address: str, leave: Leave) -> Callable[[], None]:
+        """One more, which `leave` ends; returns what to call, once or more, when it is no newcomer any longer."""
+        holder, number = holder_of(address), next(self._numbers)
+        here = self._by_holder.setdefault(holder, {})
+        here[number] = leave
+        if len(here) > self._most:
+            here.pop(next(iter(here)))()
+        return lambda: self._settle(holder, number)
+
+    def of(self, address: str) -> int:
+        """How many newcomers this address has."""
+        return len(self._by_holder.get(holder_of(address), ()))
+
+    def _settle(self, holder: str, number: int) -> None:
+        here = self._by_holder.get(holder, {})
+        here.pop(number, None)
+        if not here:
+            self._by_holder.pop(holder, None)
+
+
+@lru_cache(MOST_BUCKETS)
+def holder_of(address: str) -> str:
+    """Whom an address stands for: itself, or the network that an IPv6 address is in."""
+    try:
+        known = ipaddress.ip_address(address)
+    except ValueError:
+        return address
+    if isinstance(known, ipaddress.IPv4Address):
+        return address
+    if known.ipv4_mapped is not None:
+        return str(known.ipv4_mapped)
+    return str(ipaddress.ip_network((known, NETWORK_BITS), strict=False))
+
+
+@lru_cache(MOST_BUCKETS)
+def network_of(address: str) -> str:
+    """The network that an address is in: a /24, or the /64 of an IPv6 address."""
+    holder = holder_of(address)
+    try:
+        return str(ipaddress.ip_network((ipaddress.IPv4Address(holder), NETWORK_BITS_OF_IPV4), strict=False))
+    except ValueError:
+        return holder

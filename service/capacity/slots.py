@@ -1,0 +1,92 @@
+"""Slots: how many calls, waits and watches may be open at the same time, shared between those who hold them."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Hashable
+from dataclasses import dataclass
+from typing import TypeVar
+
+from revisit.service.domain.errors import RateLimited
+
+K = TypeVar("K", bound=Hashable)
+
+KEPT = 8
+"""One slot in so many is kept."""
+
+RETRY_S = 1.0
+"""When to come back where no slot is free."""
+
+
+@dataclass(frozen=True)
+class Share:
+    """The slots of one kind: `most` in all, `group` of them for one group that is alone, `holder` for one holder.
+
+    A group is a tenant and its holders are clients; of calls without a credential, an address and its connections.
+    """
+
+    what: str
+    most: int
+    group: int
+    holder: int
+    names: tuple[str, str] = ("tenant", "client")
+
+    def beside(self, others: int) -> int:
+        """Slots that one group may hold beside `others` of other groups: its share of what they leave.
+
+        The last ones are kept for groups that hold none, one for each.
+        """
+        left = min(self.group * (self.most - others) // self.most, self.most - self.kept - others)
+        return max(left, 1 if others < self.most else 0)
+
+    @property
+    def kept(self) -> int:
+        """Slots that are kept for groups that hold none."""
+        return self.most // KEPT
+
+
+class Slots:
+    """Counts the slots of one kind that are held. All calls come from the event loop."""
+
+    def __init__(self, share: Share) -> None:
+        self._share = share
+        self._of_group: Counter[str] = Counter()
+        self._of_holder: Counter[tuple[str, str]] = Counter()
+
+    @property
+    def held(self) -> int:
+        """Slots that are held, of all groups."""
+        return self._of_group.total()
+
+    def take(self, group: str, holder: str) -> None:
+        """One more for a holder of a group. Raises RateLimited where none is to be had."""
+        share, own = self._share, self._of_group[group]
+        room = share.beside(self.held - own)
+        if self._of_holder[group, holder] >= share.holder:
+            raise _none_free(f"{share.holder} {share.what} of this {share.names[1]}")
+        if room == 0:
+            raise _none_free(f"{share.most} {share.what}")
+        if own >= room:
+            beside = "" if own >= share.group else " beside those of others"
+            raise _none_free(f"{own} {share.what} of this {share.names[0]}{beside}")
+        self.take_back(group, holder)
+
+    def take_back(self, group: str, holder: str) -> None:
+        """One more in any case: for a call that has given up its slot for a while, and goes on."""
+        self._of_group[group] += 1
+        self._of_holder[group, holder] += 1
+
+    def give(self, group: str, holder: str) -> None:
+        """One less."""
+        _less(self._of_group, group)
+        _less(self._of_holder, (group, holder))
+
+
+def _less(held: Counter[K], key: K) -> None:
+    held[key] -= 1
+    if not held[key]:
+        del held[key]
+
+
+def _none_free(held: str) -> RateLimited:
+    return RateLimited(f"{held} are open; close one first", retry_after_s=RETRY_S)

@@ -1,0 +1,117 @@
+"""What one process of the service is built from: its adapters, its rules and its shared state."""
+
+from __future__ import annotations
+
+import secrets
+import threading
+from dataclasses import dataclass, field
+from functools import cached_property
+
+from revisit.service.capacity.backlog import Backlog
+from revisit.service.capacity.byte_budget import ByteBudget
+from revisit.service.capacity.call_pace import CallPace
+from revisit.service.capacity.in_flight import DECODERS, InFlight
+from revisit.service.capacity.storage_quota import StorageQuota
+from revisit.service.domain.policy import Policy
+from revisit.service.domain.states import OperationKind
+from revisit.service.features.catalogue.job import MeshMaking
+from revisit.service.features.corrections.job import EarlyCorrections
+from revisit.service.features.deletion.blob_references import BlobCollector
+from revisit.service.features.deletion.erasure import Erasure
+from revisit.service.features.index.keeping import IndexHealth, IndexKeeper
+from revisit.service.features.index.place_memory import PlaceMemory
+from revisit.service.features.ingest.clouds import CloudDecoder
+from revisit.service.features.ingest.open_streams import OpenStreams
+from revisit.service.features.merging.job import MapMerging
+from revisit.service.features.operations.job_runner import JobRunner
+from revisit.service.features.optimisation.job import MapOptimisation
+from revisit.service.features.publishing.job import MapFiling
+from revisit.service.features.recognition.job import SubmapDescriptionJob
+from revisit.service.features.recognition.loop_recall_job import LoopRecallJob
+from revisit.service.features.recognition.proposed_loop_job import ProposedLoopJob
+from revisit.service.features.search.job import CloudQueryJob
+from revisit.service.features.tiles.job import TileMaking
+from revisit.service.ports.blobs import BlobStore
+from revisit.service.ports.clock import Clock
+from revisit.service.ports.disk import DiskSpace, UnlimitedDisk
+from revisit.service.ports.index import VectorIndex
+from revisit.service.ports.job_context import JobContext
+from revisit.service.ports.map_merger import MapMerger
+from revisit.service.ports.map_optimiser import MapOptimiser
+from revisit.service.ports.map_tiles import TileMaker
+from revisit.service.ports.recogniser import PlaceRecogniser
+from revisit.service.ports.storage import Storage
+from revisit.service.ports.transactions import Transactions
+
+
+@dataclass(frozen=True)
+class ServiceContext:
+    """Given to those who build; a use case is given only those of its parts that it uses."""
+
+    transactions: Transactions
+    blobs: BlobStore
+    index: VectorIndex
+    clock: Clock
+    policy: Policy
+    stopping: threading.Event = field(default_factory=threading.Event)
+    in_flight: InFlight = field(default_factory=InFlight)
+    pace: CallPace = field(default_factory=CallPace)
+    disk: DiskSpace = field(default_factory=UnlimitedDisk)
+    index_health: IndexHealth = field(default_factory=IndexHealth)
+    open_streams: OpenStreams = field(default_factory=OpenStreams)
+    budget: ByteBudget = field(default_factory=ByteBudget)
+    secret: bytes = field(default_factory=lambda: secrets.token_bytes(32))
+    """Known to nobody else: makes the tokens of pages unreadable."""
+    decoder: CloudDecoder = field(default_factory=lambda: CloudDecoder(DECODERS))
+
+    @cached_property
+    def storage(self) -> Storage:
+        """Transactions and blobs, from the event loop."""
+        return Storage(self.transactions, self.blobs)
+
+    @cached_property
+    def memory(self) -> PlaceMemory:
+        """Searches in the index."""
+        return PlaceMemory(self.transactions, self.index)
+
+    @cached_property
+    def backlog(self) -> Backlog:
+        """The limit of waiting jobs."""
+        return Backlog(self.storage, self.in_flight, self.policy.max_queued_jobs)
+
+    @cached_property
+    def erasure(self) -> Erasure:
+        """What deletes the rows of deleted sessions and maps."""
+        return Erasure(self.storage, BlobCollector(self.storage), self.clock)
+
+    @cached_property
+    def quota(self) -> StorageQuota | None:
+        """The limit of what a tenant stores, if there is one."""
+        most_bytes = self.policy.tenant_storage_bytes
+        return None if most_bytes is None else StorageQuota(self.storage, most_bytes)
+
+    def jobs(
+        self, recogniser: PlaceRecogniser, optimiser: MapOptimiser, merger: MapMerger, tiler: TileMaker
+    ) -> JobRunner:
+        """The jobs of a worker; `recogniser`, `optimiser`, `merger` and `tiler` are the method."""
+        context = JobContext(self.transactions, self.blobs, self.clock, self.policy)
+        early = EarlyCorrections(self.transactions, self.clock, self.policy, optimiser)
+        queries, tiles = CloudQueryJob(context, self.memory, recogniser), TileMaking(context, tiler)
+        jobs = {
+            OperationKind.DESCRIBE_SUBMAP: SubmapDescriptionJob(context, self.memory, recogniser, early).run,
+            OperationKind.SEARCH_CLOUD: queries.search,
+            OperationKind.LOCALIZE: queries.localise,
+            OperationKind.OPTIMISE_MAP: MapOptimisation(context, optimiser, recogniser, early).run,
+            OperationKind.VERIFY_LOOP: ProposedLoopJob(context, recogniser, early).run,
+            OperationKind.MERGE_MAP: MapMerging(context, recogniser, merger).run,
+            OperationKind.MAKE_TILE: tiles.make,
+            OperationKind.MEASURE_MAP: tiles.measure,
+            OperationKind.PUBLISH_MAP: MapFiling(context).run,
+            OperationKind.RECALL_LOOPS: LoopRecallJob(context, recogniser, early).run,
+            OperationKind.MAKE_MESH: MeshMaking(context, recogniser).run,
+        }
+        return JobRunner(context, jobs)
+
+    def index_keeper(self) -> IndexKeeper:
+        """What loads the index and compares it with the database. From now on the service is not ready until then."""
+        return IndexKeeper(self.storage, self.index, self.memory, self.index_health, self.disk)

@@ -1,0 +1,116 @@
+"""Events: a log of what happens in the maps, written in the transaction that makes it happen.
+
+A row names a resource; its content is read when somebody asks. Whoever knows the number of the last event that it saw
+goes on behind it, after a lost connection or a restart, without loss and without doubles.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol, TypeAlias, TypeVar
+
+from revisit.service.domain.identity import TenantId
+from revisit.service.domain.records import JobRecord, LoopRecord, MapVersionRecord
+from revisit.service.domain.states import EventKind, GraphState, LoopState, OperationKind
+
+R = TypeVar("R", contravariant=True)
+
+AMBIGUOUS = "AMBIGUOUS"
+"""The reason of a loop closure that was rejected because other poses fit as well (docs/decisions/0080)."""
+
+WAITED_FOR = frozenset({OperationKind.SEARCH_CLOUD.value, OperationKind.LOCALIZE.value})
+"""Operations whose client waits for the answer: nobody else is told."""
+
+
+@dataclass(frozen=True)
+class EventRecord:
+    """A row of the log: something became true of `subject`, a loop's or an operation's id, in a map."""
+
+    tenant: TenantId
+    map_id: str
+    kind: str
+    subject: str
+    number: int = 0
+
+
+class EventLog(Protocol):
+    """The log of all tenants. Numbers grow in the order of the commits and are never used twice."""
+
+    def record(self, event: EventRecord) -> None:
+        """Add a row with the next number."""
+        ...
+
+    def following(self, tenant: TenantId, number: int, limit: int, map_id: str | None = None) -> list[EventRecord]:
+        """At most `limit` rows of a tenant above `number`, by number; of one map, with what concerns every map."""
+        ...
+
+    def newest_of_maps(self, number: int) -> list[EventRecord]:
+        """The last row of each map of each tenant that has one above `number`; by number."""
+        ...
+
+    def last_number(self) -> int:
+        """The last number that was given out, to whichever tenant; 0 for none."""
+        ...
+
+    def forget(self, kept: int) -> int:
+        """Delete all but the last `kept` rows of each tenant; how many.
+
+        A row of the kind FORGOTTEN, of no map, stays in place of the last one that was deleted.
+        """
+        ...
+
+
+ChangeOf: TypeAlias = Callable[[R | None, R], None]
+"""Told of each change of a record, in its transaction: the record before, None where it is new, and after."""
+
+
+def on_loop_change(log: EventLog) -> ChangeOf[LoopRecord]:
+    """Records loop closures that are new or have another state or pose.
+
+    Candidates that were rejected at once are no news, unless they are ambiguous. Of the verdicts of the pose graph,
+    that a loop was set aside is news, or no longer is.
+    """
+
+    def record(before: LoopRecord | None, after: LoopRecord) -> None:
+        if before is None:
+            news = after.state != LoopState.REJECTED or after.reason == AMBIGUOUS
+        else:
+            told = ("state", "reason", "T_match_query")
+            news = any(getattr(before, name) != getattr(after, name) for name in told)
+            news |= before.graph_state != after.graph_state and GraphState.SET_ASIDE in (
+                before.graph_state,
+                after.graph_state,
+            )
+        if news:
+            log.record(EventRecord(after.tenant, after.map_id, EventKind.LOOP_CLOSURE.value, after.loop_id))
+
+    return record
+
+
+def on_job_change(log: EventLog) -> ChangeOf[JobRecord]:
+    """Records operations that are new or have another state, but for those that somebody waits for."""
+
+    def record(before: JobRecord | None, after: JobRecord) -> None:
+        known = None if before is None else before.state
+        if known == after.state or after.kind in WAITED_FOR:
+            return
+        log.record(EventRecord(after.tenant, map_of(after.subject), EventKind.OPERATION.value, after.operation_id))
+
+    return record
+
+
+def on_version_change(log: EventLog) -> ChangeOf[MapVersionRecord]:
+    """Records new versions of maps: with each, the corrections of their sessions are others."""
+
+    def record(before: MapVersionRecord | None, after: MapVersionRecord) -> None:
+        if before is None:
+            log.record(EventRecord(after.tenant, after.map_id, EventKind.MAP_VERSION.value, str(after.version)))
+
+    return record
+
+
+def map_of(subject: str) -> str:
+    """The id of the map that a resource is in, by its name; empty where it is in none."""
+    collection, _, rest = subject.partition("/")
+    return rest.partition("/")[0] if collection == "maps" else ""

@@ -1,0 +1,41 @@
+"""The rules of an context, and what a map overrides of them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from revisit.core.config import PipelineConfig
+from revisit.service.domain.records import MapRecord
+
+
+@dataclass(frozen=True)
+class Policy:
+    """The parameters of the method, the bounds of the job queue, and how much a tenant may store (None: no bound).
+
+    A map is optimised `optimise_delay_ms` after `optimise_after_loops` accepted loops wait to be asked (0: only when
+    somebody asks); its last `map_versions_kept` versions stay.
+    With `webhook_private_networks`, webhooks may lead anywhere.
+    """
+
+    pipeline: PipelineConfig = field(default_factory=PipelineConfig)
+    max_queued_jobs: int = 1000
+    max_attempts: int = 3
+    lease_ms: int = 10_000
+    tenant_storage_bytes: int | None = None
+    optimise_after_loops: int = 0
+    optimise_delay_ms: int = 5000
+    map_versions_kept: int = 20
+    webhook_private_networks: bool = False
+
+    def for_map(self, record: MapRecord) -> PipelineConfig:
+        """The parameters of the method with what the map overrides."""
+        return self.pipeline.of_map(
+            record.scene_scale,
+            submap={"tau": record.tau_m, "stride": record.stride_m},
+            loop={"leave_distance": record.leave_distance_m, "candidates": record.loop_candidates},
+            verification={
+                "min_score": record.min_score,
+                "min_overlap": record.min_overlap,
+                "max_seen_through": record.max_seen_through,
+            },
+        )

@@ -1,0 +1,397 @@
+"""Rows: what the database keeps of each noun. Every record belongs to a tenant and has a `number`.
+
+Numbers are given out by the store when a record is added (0 before), grow with every add, and are never used twice,
+so they order lists, page them and stand for a record in the vector index. Poses are 16 floats, row-major.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from revisit.service.domain.identity import TenantId
+
+Pose = tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class MapRecord:
+    """A map; None stands for "as the service is configured"; `model_version` is that of its descriptors, if any.
+
+    `scene_scale` is the size of its scene compared with a street (docs/decisions/0009); it never changes.
+    `loop_candidates` to `max_seen_through` are the map's own `LoopPolicy`. `map_version` is the version of its poses in
+    force, 0 for none; `graph_edits` counts the changes that made a part of its pose graph void. `index_file` names the
+    file that its index may be loaded from.
+    """
+
+    tenant: TenantId
+    map_id: str
+    content_hash: str
+    display_name: str
+    tau_m: float | None
+    stride_m: float | None
+    leave_distance_m: float | None
+    model_version: str | None
+    created_at_ns: int
+    scene_scale: float = 1.0
+    loop_candidates: int | None = None
+    min_score: float | None = None
+    min_overlap: float | None = None
+    max_seen_through: float | None = None
+    map_version: int = 0
+    graph_edits: int = 0
+    index_file: str | None = None
+    number: int = 0
+
+
+@dataclass(frozen=True)
+class DeletionRecord:
+    """A session of a map, or with "" for `session_id` the map, that is being deleted with all that is in it.
+
+    While it is there, no other row of them is seen (`UnitOfWork.everything` excepted), and their ids are taken.
+    """
+
+    tenant: TenantId
+    map_id: str
+    session_id: str
+    created_at_ns: int
+    number: int = 0
+
+
+@dataclass(frozen=True)
+class RobotRecord:
+    """A robot."""
+
+    tenant: TenantId
+    robot_id: str
+    content_hash: str
+    display_name: str
+    created_at_ns: int
+    number: int = 0
+
+
+@dataclass(frozen=True)
+class SessionRecord:
+    """A session and where its current window of scans stands (see `ingest.scans`).
+
+    `storey` is the level of a building that it was driven on, in the client's words; None where nobody said. It never
+    changes.
+    """
+
+    tenant: TenantId
+    map_id: str
+    session_id: str
+    content_hash: str
+    robot_id: str | None
+    state: str
+    committed_seq: int
+    next_ordinal: int
+    travelled_m: float
+    window_start_m: float
+    window_first_seq: int
+    emitted_to_m: float | None
+    created_at_ns: int
+    finished_at_ns: int | None
+    storey: str | None = None
+    number: int = 0
+
+
+@dataclass(frozen=True)
+class ScanRecord:
+    """A scan: its pose, how far the session had travelled, and the blob of its cloud."""
+
+    tenant: TenantId
+    map_id: str
+    session_id: str
+    seq: int
+    stamp_ns: int
+    T_odom_sensor: Pose
+    travelled_m: float
+    point_count: int
+    cloud_sha256: str
+    number: int = 0
+
+
+@dataclass(frozen=True)
+class SubmapRecord:
+    """A submap: one cloud blob, or the scans first_seq..last_seq; and what a worker found out about it."""
+
+    tenant: TenantId
+    map_id: str
+    session_id: str
+    submap_id: str
+    content_hash: str
+    state: str
+    ordinal: int
+    session_number: int
+    T_odom_submap: Pose
+    position_m: tuple[float, float, float]
+    stamp_ns: int
+    cloud_sha256: str | None
+    first_seq: int | None
+    last_seq: int | None
+    scan_count: int
+    point_count: int
+    operation_id: str
+    flags: tuple[str, ...]
+    created_at_ns: int
+    model_version: str | None = None
+    descriptor: bytes | None = None
+    place_sha256: str | None = None
+    neural_map_sha256: str | None = None
+    neural_map_bytes: int | None = None
+    failure_code: str | None = None
+    failure_message: str | None = None
+    number: int = 0
+
+
+@dataclass(frozen=True)
+class LoopRecord:
+    """A loop closure between two submaps, accepted or rejected, with its evidence.
+
+    `graph_state` is the verdict of the version of the map in force, None where none knows the loop. `manual`: a person
+    made it.
+    """
+
+    tenant: TenantId
+    map_id: str
+    loop_id: str
+    query_number: int
+    match_number: int
+    query_session_id: str
+    query_submap_id: str
+    match_session_id: str
+    match_submap_id: str
+    state: str
+    reason: str | None
+    similarity: float
+    score: float
+    T_match_query: Pose | None
+    evidence: dict[str, Any]
+    created_at_ns: int
+    graph_state: str | None = None
+    manual: bool = False
+    number: int = 0
+
+    @classmethod
+    def between(cls, query: SubmapRecord, match: SubmapRecord, **fields: Any) -> LoopRecord:
+        """A loop closure between two submaps of one map; `fields` are the others."""
+        return cls(
+            tenant=query.tenant,
+            map_id=query.map_id,
+            query_number=query.number,
+            match_number=match.number,
+            query_session_id=query.session_id,
+            query_submap_id=query.submap_id,
+            match_session_id=match.session_id,
+            match_submap_id=match.submap_id,
+            **fields,
+        )
+
+
+@dataclass(frozen=True)
+class LoopEventRecord:
+    """A change of a loop closure: what it was made (`state`, `reason`, `graph_state`), by whom, and why.
+
+    `kind` is a `LoopEventKind`; `details` is JSON: thresholds and model version of a verdict, the distance from the
+    poses of a version of the map. The ends are those of the loop, with which its events are deleted.
+    """
+
+    tenant: TenantId
+    map_id: str
+    loop_id: str
+    kind: str
+    state: str
+    reason: str | None
+    graph_state: str | None
+    T_match_query: Pose | None
+    actor: str
+    note: str
+    map_version: int
+    details: dict[str, Any]
+    query_number: int
+    match_number: int
+    query_session_id: str
+    match_session_id: str
+    at_ns: int
+    number: int = 0
+
+
+@dataclass(frozen=True)
+class MapVersionRecord:
+    """A version of a map's poses (see `SessionPosesRecord`), and what it says of each loop, packed.
+
+    `loops` holds, of every loop that it judged, its number, its state and its squared distance from the poses (see
+    `contract.session_poses`); `loops_hash` is that of `loops`.
+    """
+
+    tenant: TenantId
+    map_id: str
+    version: int
+    restored_from: int | None
+    operation_id: str | None
+    summary: dict[str, Any]
+    loops: bytes
+    loops_hash: str
+    created_at_ns: int
+    number: int = 0
+
+
+@dataclass(frozen=True)
+class SessionPosesRecord:
+    """The poses of a session in a version of a map, packed (see `contract.session_poses`); `content_hash` is of them.
+
+    `frame` names the frame of the map that they are in. Those of one session are together, so that they go with it.
+    """
+
+    tenant: TenantId
+    map_id: str
+    version: int
+    session_id: str
+    session_number: int
+    frame: str
+    T_map_odom: Pose
+    submaps: bytes
+    content_hash: str
+    created_at_ns: int
+    number: int = 0
+
+
+@dataclass(frozen=True)
+class EarlyCorrectionRecord:
+    """T_map_odom of a session by version `version` of its map and by single `loops` that were asked since, ahead of the
+    next version. It says nothing of another version than this one.
+    """
+
+    tenant: TenantId
+    map_id: str
+    session_id: str
+    version: int
+    loops: int
+    T_map_odom: Pose
+    created_at_ns: int
+    number: int = 0
+
+
+@dataclass(frozen=True)
+class MapMergeRecord:
+    """A merge into a map: what was merged, into which version, and what it rested on.
+
+    `merge_id` is the id of its operation. `source` is the resource name of the map or session that was copied;
+    `sessions` are the ids of the copies. `version_before` was in force before it (0 for none) and is kept while the
+    merge is; `report` is JSON (see `mapping.merge_report`). `reverted_at_ns` is there once the merge was taken back.
+    """
+
+    tenant: TenantId
+    map_id: str
+    merge_id: str
+    source: str
+    version_before: int
+    version: int
+    sessions: tuple[str, ...]
+    report: dict[str, Any]
+    created_at_ns: int
+    reverted_at_ns: int | None = None
+    number: int = 0
+
+
+@dataclass(frozen=True)
+class MapTileRecord:
+    """A tile of a version of a map that a worker has made: its content, and that of how many submaps it was made."""
+
+    tenant: TenantId
+    map_id: str
+    version: int
+    tile_id: str
+    tile_sha256: str
+    submaps: int
+    created_at_ns: int
+    number: int = 0
+
+
+@dataclass(frozen=True)
+class MapFileRecord:
+    """A version of a map as one file: its hash and size, the ids of its sessions, and the blob that says its bytes.
+
+    One file of a map has the `state` ENABLED at most, the others are DISABLED; `description` is in an operator's words.
+    """
+
+    tenant: TenantId
+    map_id: str
+    version: int
+    sha256: str
+    size_bytes: int
+    layout_sha256: str
+    sessions: tuple[str, ...]
+    submaps: int
+    state: str
+    description: str
+    created_at_ns: int
+    number: int = 0
+
+
+@dataclass(frozen=True)
+class JobRecord:
+    """A leased job, which clients see as an operation.
+
+    Of a tenant's jobs those of `priority` 0, for which a client waits, go before those of 1, and these before those of
+    2, for which nobody does. `lease_token` grows with every claim: only the holder of the newest may complete the job
+    (fencing). Lease times count on the monotonic clock of one boot of the machine, named by `lease_epoch`;
+    `claimed_ms` is when the last run began. `forgiven` of the `attempts` ended for a reason that was none of the job's
+    (docs/decisions/0082). `progress` is JSON (stage, done, total), and `cancel_requested` says that somebody wants it
+    to end. `request_id` and `traceparent` (W3C) name the request that the job came from.
+    """
+
+    tenant: TenantId
+    operation_id: str
+    kind: str
+    state: str
+    subject: str
+    payload: dict[str, Any]
+    attempts: int
+    max_attempts: int
+    created_at_ns: int
+    priority: int = 1
+    lease_owner: str | None = None
+    lease_token: int = 0
+    lease_epoch: str = ""
+    claimed_ms: int = 0
+    not_before_ms: int = 0
+    lease_expires_ms: int = 0
+    request_id: str | None = None
+    traceparent: str | None = None
+    result: dict[str, Any] | None = None
+    failure_code: str | None = None
+    failure_message: str | None = None
+    finished_at_ns: int | None = None
+    forgiven: int = 0
+    progress: dict[str, Any] | None = None
+    cancel_requested: bool = False
+    number: int = 0
+
+    @property
+    def counted_attempts(self) -> int:
+        """The attempts that count against `max_attempts`."""
+        return self.attempts - self.forgiven
+
+
+@dataclass(frozen=True)
+class TurnRecord:
+    """How much of the workers' time a tenant has had, milliseconds, on a scale that all tenants share.
+
+    A tenant that had nothing to do begins where the others stand; `started_ms` is where its last job began.
+    """
+
+    tenant: TenantId
+    started_ms: int = 0
+    spent_ms: int = 0
+
+
+@dataclass(frozen=True)
+class WorkerRecord:
+    """A worker process and when it last showed itself, on the monotonic clock of `epoch`."""
+
+    worker_id: str
+    model_version: str
+    epoch: str
+    seen_ms: int

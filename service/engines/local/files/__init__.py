@@ -1,0 +1,1 @@
+"""Blobs, index files, secrets and locks as files."""

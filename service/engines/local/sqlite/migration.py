@@ -1,0 +1,129 @@
+"""Bringing a SQLite file to the schema of this version."""
+
+from __future__ import annotations
+
+import sqlite3
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from sqlalchemy import Connection
+
+from revisit.service.engines.local.files.filesystem import require_local
+from revisit.service.engines.local.sqlite.connections import writer_engine
+from revisit.service.engines.local.sqlite.row_checksums import seal
+from revisit.service.engines.local.sqlite.transactions import WriterLock
+
+if TYPE_CHECKING:  # imported where something is migrated: a worker only asks for the revision
+    from alembic.config import Config
+    from alembic.script import ScriptDirectory
+
+MIGRATIONS = Path(__file__).resolve().parents[4] / "migrations"
+
+NEWEST_REVISION = "0024"
+"""What this version brings a database to: the head of `migrations`. A start that finds it has nothing to read there."""
+
+
+LAST_OF_ALL_STEPS = "74bcf880"
+"""The last commit that has the steps from the first schema to 0024: nothing was released before."""
+
+
+class ForeignSchema(Exception):
+    """The database is of a version that this one does not know."""
+
+
+def migrate(database: Path, revision: str = "head") -> None:
+    """Upgrade (or, to an older revision, downgrade) the SQLite file, which is made where it is missing.
+
+    Raises ForeignSchema; StorageUncertain while another process writes; RemoteFileSystem where the file would not be on
+    this machine.
+    """
+    require_local(database.parent)
+    database.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
+    lock = WriterLock(database)
+    try:
+        with lock.held():
+            _migrate(database, revision)
+    finally:
+        lock.close()
+
+
+def known_revisions() -> frozenset[str]:
+    """The revisions that this version can open or upgrade."""
+    return frozenset(script.revision for script in _scripts().walk_revisions())
+
+
+def current_revision(database: Path) -> str | None:
+    """The revision a database is at, or None for an empty one. Raises sqlite3.DatabaseError for a damaged one."""
+    if not database.exists():
+        return None
+    connection = sqlite3.connect(f"file:{database}?mode=ro", uri=True)
+    try:
+        row = connection.execute("SELECT version_num FROM alembic_version").fetchone()
+    except sqlite3.OperationalError:
+        return None
+    except UnicodeError as error:  # of SQLite's message about a name that is none any more
+        raise sqlite3.DatabaseError("the schema of the database is damaged") from error
+    finally:
+        connection.close()
+    return None if row is None else str(row[0])
+
+
+def _migrate(database: Path, revision: str) -> None:
+    """Run the migrations on a writer's connection, in one transaction: SQLite can roll back changes of the schema."""
+    present = current_revision(database)
+    if revision == "head" and present == NEWEST_REVISION:
+        return
+    from alembic import command
+    from alembic.util import CommandError
+
+    if present is not None and present not in known_revisions():
+        raise ForeignSchema(_way_from(present))
+    upwards = revision == "head" or present is None
+    engine = writer_engine(database, checkpoints=True, checksums=False)
+    try:
+        with engine.connect() as connection:
+            config = _configuration(connection)
+            (command.upgrade if upwards else command.downgrade)(config, revision)
+    except CommandError as error:
+        raise ForeignSchema(str(error)) from error
+    finally:
+        engine.dispose()
+
+
+def _way_from(present: str) -> str:
+    """What to do with a database of a revision that is not known."""
+    if present > NEWEST_REVISION:
+        return (
+            f"it was written by a newer Revisit (schema {present}, this one knows up to {NEWEST_REVISION}). Start the "
+            "newer version, or restore a backup of this one"
+        )
+    return (
+        f"it was written by an older Revisit (schema {present}, this one begins with {min(known_revisions())}). Start "
+        f"the version of commit {LAST_OF_ALL_STEPS} on it once, which upgrades it, then this one"
+    )
+
+
+def _seal(connection: Connection) -> None:
+    """Give all rows their checksums, in the transaction of the migrations."""
+    driver = connection.connection.driver_connection
+    if not isinstance(driver, sqlite3.Connection):
+        raise TypeError(f"the migrations run on {type(driver).__name__}, not on SQLite's own driver")
+    seal(driver)
+
+
+def _scripts() -> ScriptDirectory:
+    from alembic.script import ScriptDirectory
+
+    return ScriptDirectory(str(MIGRATIONS))
+
+
+def _configuration(connection: Connection) -> Config:
+    """Alembic's configuration, without an ini file."""
+    from alembic.config import Config
+
+    # Batch mode: what SQLite's ALTER TABLE cannot change is changed in a copy of the table.
+    options = {"connection": connection, "render_as_batch": True, "transactional_ddl": True}
+    config = Config(attributes={"options": options, "afterwards": partial(_seal, connection)})
+    config.set_main_option("script_location", str(MIGRATIONS))
+    return config

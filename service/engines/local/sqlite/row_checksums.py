@@ -1,0 +1,137 @@
+"""Checksums of rows in a SQLite file: written with every row, and compared where somebody looks for damage.
+
+SQLite tells a damaged page only where its structure is wrong; a flipped bit of a number or a descriptor is another
+number to it. So each table has a column `checksum`, of all its other columns. A writer's connection fills it in by
+triggers that are its own (TEMP): nobody who writes a row can forget it, and the file needs no function of ours to be
+opened by other programs. The schema itself has one, too: SQLite keeps a number for its user, `user_version`. The audit
+log has a chain of hashes, and the counters of numbers are compared with the rows.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import sqlite3
+import zlib
+from collections.abc import Iterator
+
+from revisit.service.engines.sql.checksums import row_checksum
+from revisit.service.features.audit.calls import judge
+from revisit.service.ports.access import AuditRecord
+
+COLUMN = "checksum"
+
+ALONE = {"submaps": "descriptor"}
+"""The column of a table that is checked by itself, wherever it is read."""
+
+
+def add_function(connection: sqlite3.Connection) -> None:
+    """Make `row_checksum` known to a connection."""
+    connection.create_function("row_checksum", -1, row_checksum, deterministic=True)
+
+
+def keep_checksums(connection: sqlite3.Connection) -> None:
+    """From now on every row that this connection writes gets its checksum, in every table that has a place for it."""
+    add_function(connection)
+    for table, columns in _tables(connection).items():
+        update = f"{_update(table, columns)} WHERE rowid = NEW.rowid"
+        # What the first trigger writes is no change for the second.
+        for event, when in (("INSERT", ""), ("UPDATE", f"WHEN NEW.{COLUMN} IS OLD.{COLUMN}")):
+            name = f"checksum_{table}_{event}"
+            connection.execute(
+                f'CREATE TEMP TRIGGER "{name}" AFTER {event} ON main."{table}" {when} BEGIN {update}; END'
+            )
+
+
+def seal(connection: sqlite3.Connection) -> None:
+    """Give every row and the schema their checksum, as they are: after the schema was changed."""
+    add_function(connection)
+    for table, columns in _tables(connection).items():
+        connection.execute(_update(table, columns))
+    connection.execute(f"PRAGMA user_version = {_schema_checksum(connection) if _tables(connection) else 0}")
+
+
+def damaged_rows(connection: sqlite3.Connection) -> Iterator[str]:
+    """The rows that are not what was written, as "table number"; the schema and the counters of numbers, too.
+
+    Nothing of a database from before there were checksums. Raises sqlite3.Error where the damage keeps it from being
+    read.
+    """
+    add_function(connection)
+    tables = _tables(connection)
+    (kept,) = connection.execute("PRAGMA user_version").fetchone()
+    if not tables and not kept:
+        return
+    if kept != _schema_checksum(connection):
+        yield "the schema"
+    for table, columns in tables.items():
+        yield from _wrong_rows(connection, table, columns)
+    yield from _wrong_counters(connection)
+    yield from _wrong_audit(connection)
+
+
+def _wrong_rows(connection: sqlite3.Connection, table: str, columns: str) -> Iterator[str]:
+    wrong = f'SELECT rowid FROM "{table}" WHERE {COLUMN} IS NOT row_checksum({columns})'  # noqa: S608  # own schema
+    try:
+        for (number,) in connection.execute(wrong):
+            yield f"{table} {number}"
+    except sqlite3.Error as error:  # of text that is none any more
+        yield f"{table}: {error}"
+
+
+def _wrong_audit(connection: sqlite3.Connection) -> Iterator[str]:
+    """What is wrong with the chain of the audit log, whose last row is the last that was ever written."""
+    (highest,) = connection.execute("SELECT max(seq) FROM sqlite_sequence WHERE name = 'audit_log'").fetchone()
+    try:
+        fault = judge(_audit_rows(connection), highest or 0).fault
+    except (sqlite3.Error, TypeError) as error:  # of a value that is of another kind now
+        fault = str(error)
+    if fault is not None:
+        yield f"audit_log: {fault}"
+
+
+def _audit_rows(connection: sqlite3.Connection) -> Iterator[AuditRecord]:
+    names = [field.name for field in dataclasses.fields(AuditRecord)]
+    rows = connection.execute(f"SELECT {', '.join(names)} FROM audit_log ORDER BY number")  # noqa: S608  # own schema
+    for row in rows:
+        fields = dict(zip(names, row, strict=True))
+        try:
+            yield AuditRecord(**{**fields, "detail": json.loads(fields["detail"])})
+        except ValueError:
+            yield AuditRecord(**{**fields, "hash": ""})
+
+
+def _wrong_counters(connection: sqlite3.Connection) -> Iterator[str]:
+    """Counters by which a number could be given out again."""
+    counters = dict(connection.execute("SELECT name, seq FROM sqlite_sequence"))
+    counted = connection.execute("SELECT name FROM sqlite_schema WHERE type = 'table' AND sql LIKE '%AUTOINCREMENT%'")
+    known = {table for (table,) in counted}
+    for table in sorted(known):
+        (highest,) = connection.execute(f'SELECT max(rowid) FROM "{table}"').fetchone()  # noqa: S608  # own schema
+        if highest is not None and not (isinstance(counters.get(table), int) and counters[table] >= highest):
+            yield f"the counter of {table}"
+    for name in sorted(map(str, counters.keys() - known)):
+        yield f"a counter of {name!r}"
+
+
+def _update(table: str, columns: str) -> str:
+    return f'UPDATE "{table}" SET {COLUMN} = row_checksum({columns})'  # noqa: S608  # names of our own schema
+
+
+def _tables(connection: sqlite3.Connection) -> dict[str, str]:
+    """The tables that have a place for checksums, and what `row_checksum` is given of their rows."""
+    found = {}
+    for (table,) in connection.execute("SELECT name FROM sqlite_schema WHERE type = 'table' ORDER BY name").fetchall():
+        columns = sorted(row[1] for row in connection.execute(f'PRAGMA table_info("{table}")'))
+        if COLUMN in columns:
+            alone = ALONE.get(table)
+            others = [f'"{column}"' for column in columns if column not in (COLUMN, alone)]
+            found[table] = ", ".join(["NULL" if alone is None else f'"{alone}"', *others])
+    return found
+
+
+def _schema_checksum(connection: sqlite3.Connection) -> int:
+    """Of what is in the schema, and of its version; a signed number of 32 bits that is not 0."""
+    parts = connection.execute("SELECT type, name, tbl_name, sql FROM sqlite_schema ORDER BY type, name").fetchall()
+    versions = connection.execute("SELECT version_num FROM alembic_version").fetchall()
+    return (zlib.crc32(ascii([parts, versions]).encode()) or 1) - 2**31

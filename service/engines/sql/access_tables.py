@@ -1,0 +1,38 @@
+"""The tables of access control: API keys and the audit log."""
+
+from __future__ import annotations
+
+from sqlalchemy import JSON, BigInteger, Column, Integer, String, Table, UniqueConstraint
+
+from revisit.service.engines.sql.tables import JsonTuple, metadata
+
+api_keys = Table(
+    "api_keys",
+    metadata,
+    Column("number", Integer, primary_key=True, autoincrement=True),
+    Column("tenant", String(64), nullable=False),
+    Column("key_id", String(64), nullable=False),
+    Column("label", String(256), nullable=False),
+    Column("scopes", JsonTuple(), nullable=False),
+    Column("secret_sha256", String(64), nullable=False),
+    Column("created_at_ns", BigInteger, nullable=False),
+    Column("expires_at_ns", BigInteger, nullable=True),
+    Column("revoked_at_ns", BigInteger, nullable=True),
+    Column("successor_id", String(64), nullable=True),
+    UniqueConstraint("key_id"),
+)
+
+# Triggers of the migration refuse every UPDATE and DELETE.
+audit_log = Table(
+    "audit_log",
+    metadata,
+    Column("number", Integer, primary_key=True, autoincrement=True),
+    Column("at_ns", BigInteger, nullable=False),
+    Column("tenant", String(64), nullable=False),
+    Column("actor", String(256), nullable=False),
+    Column("action", String(32), nullable=False),
+    Column("subject", String(256), nullable=False),
+    Column("detail", JSON(), nullable=False),
+    Column("previous_hash", String(64), nullable=False),
+    Column("hash", String(64), nullable=False),
+)

@@ -1,0 +1,82 @@
+"""The change log of the maps' indexes in an SQL database."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from functools import cache
+from typing import Any
+
+from sqlalchemy import Connection, Select, bindparam, insert, select
+
+from revisit.service.domain.identity import TenantId
+from revisit.service.engines.sql import tables
+from revisit.service.engines.sql.checksums import sound_descriptor
+from revisit.service.engines.sql.engine import DatabaseEngine
+from revisit.service.engines.sql.repositories import new_row
+from revisit.service.ports.index import IndexChange
+
+SESSION_REMOVED = "SESSION_REMOVED"
+"""The kind of a change of all submaps of a session, whose number stands in the place of theirs."""
+
+
+class SqlChangeLog:
+    """`ChangeLog`."""
+
+    def __init__(self, connection: Connection, engine: DatabaseEngine) -> None:
+        """All statements go through `connection`, a connection of `engine`."""
+        self._connection = connection
+        self._engine = engine
+
+    def record_described(self, tenant: TenantId, map_number: int, submap_number: int) -> int:
+        """See `ChangeLog`."""
+        self._engine.number_in_commit_order(self._connection, tables.index_changes)
+        row = _change_row(tenant, map_number, submap_number, "DESCRIBED")
+        return int(self._connection.execute(new_row(tables.index_changes), row).scalar_one())
+
+    def record_removed(self, tenant: TenantId, map_number: int, submap_numbers: Collection[int]) -> None:
+        """See `ChangeLog`."""
+        rows = [_change_row(tenant, map_number, number, "REMOVED") for number in sorted(submap_numbers)]
+        if rows:
+            self._engine.number_in_commit_order(self._connection, tables.index_changes)
+            self._connection.execute(insert(tables.index_changes), rows)
+
+    def record_session_removed(self, tenant: TenantId, map_number: int, session_number: int) -> None:
+        """See `ChangeLog`."""
+        self._engine.number_in_commit_order(self._connection, tables.index_changes)
+        row = _change_row(tenant, map_number, session_number, SESSION_REMOVED)
+        self._connection.execute(insert(tables.index_changes), row)
+
+    def since(self, tenant: TenantId, map_number: int, seq: int, limit: int | None = None) -> list[IndexChange]:
+        """See `ChangeLog`."""
+        asked = {"its_tenant": tenant, "its_map": map_number, "after": seq, "at_most": limit}
+        query = _changes_since(limited=limit is not None)
+        return [_change(row) for row in self._connection.execute(query, asked)]
+
+
+@cache
+def _changes_since(*, limited: bool) -> Select[Any]:
+    """Takes `its_tenant`, `its_map` and `after`, and `at_most` where `limited`."""
+    changes, submaps = tables.index_changes.c, tables.submaps.c
+    since = (
+        select(changes.seq, changes.kind, changes.submap_number, submaps.session_number, submaps.ordinal)
+        .add_columns(submaps.position_m, submaps.descriptor, submaps.checksum)
+        .outerjoin_from(tables.index_changes, tables.submaps, submaps.number == changes.submap_number)
+        .where(changes.tenant == bindparam("its_tenant"), changes.map_number == bindparam("its_map"))
+        .where(changes.seq > bindparam("after"))
+        .order_by(changes.seq)
+    )
+    return since.limit(bindparam("at_most")) if limited else since
+
+
+def _change_row(tenant: TenantId, map_number: int, submap_number: int, kind: str) -> dict[str, Any]:
+    return {"tenant": tenant, "map_number": map_number, "submap_number": submap_number, "kind": kind}
+
+
+def _change(row: Sequence[Any]) -> IndexChange:
+    seq, kind, submap_number, session_number, ordinal, position_m, descriptor, checksum = row
+    if kind == SESSION_REMOVED:
+        return IndexChange.session_removed(seq, submap_number)
+    if session_number is None:
+        return IndexChange(seq, submap_number, 0, 0, (0.0, 0.0, 0.0), None)
+    vector = None if kind == "REMOVED" else sound_descriptor(submap_number, descriptor, checksum)
+    return IndexChange(seq, submap_number, session_number, ordinal, position_m, vector)

@@ -1,0 +1,52 @@
+"""Loop closures in SQL, also those of several submaps at once."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cache
+from typing import Any
+
+from sqlalchemy import BindParameter, Select, and_, bindparam, func, or_, select
+
+from revisit.service.domain.identity import TenantId
+from revisit.service.domain.records import LoopRecord
+from revisit.service.domain.states import LoopState
+from revisit.service.engines.sql import tables
+from revisit.service.engines.sql.repositories import SqlRepository, seen
+
+
+class SqlLoops(SqlRepository[LoopRecord]):
+    """`LoopRepository`."""
+
+    def telling(self, tenant: TenantId, query_numbers: Sequence[int], reasons: Sequence[str]) -> list[LoopRecord]:
+        """See `LoopRepository`."""
+        asked = {"queries": query_numbers, "its_tenant": tenant, "its_reasons": reasons}
+        return [self._of(row) for row in self._connection.execute(_telling(self._sees_all), asked)]
+
+    def reasons(self, tenant: TenantId, numbers: Sequence[int]) -> dict[str | None, int]:
+        """See `LoopRepository`."""
+        rows = self._connection.execute(_reasons(), {"numbers": numbers, "its_tenant": tenant})
+        return {row.reason: row.loops for row in rows}
+
+
+@cache
+def _reasons() -> Select[Any]:
+    """How many loops of the `numbers` have each reason; the tenant as in `_telling`."""
+    loops, numbers = tables.loops.c, BindParameter[Any]("numbers", expanding=True)
+    of_numbers = or_(loops.query_number.in_(numbers), loops.match_number.in_(numbers))
+    where = and_(of_numbers, loops.tenant.concat("") == bindparam("its_tenant"))
+    return select(loops.reason, func.count().label("loops")).where(where).group_by(loops.reason)
+
+
+@cache
+def _telling(sees_all: bool) -> Select[Any]:
+    """Accepted loops of the `queries`, and those rejected for one of `its_reasons`.
+
+    The tenant is made an expression, which no index holds: else the engine looks through all loops of the tenant.
+    """
+    loops, queries = tables.loops.c, BindParameter[Any]("queries", expanding=True)
+    reasons = BindParameter[Any]("its_reasons", expanding=True)
+    rejected = and_(loops.state == LoopState.REJECTED.value, loops.reason.in_(reasons))
+    of_tenant = loops.tenant.concat("") == bindparam("its_tenant")
+    where = and_(loops.query_number.in_(queries), of_tenant, or_(loops.state == LoopState.ACCEPTED.value, rejected))
+    return select(tables.loops).where(where, seen(tables.loops, sees_all)).order_by(loops.query_number, loops.number)

@@ -1,0 +1,448 @@
+"""Repositories over one connection: records in and out. The tenant is in every statement that a use case can reach.
+
+The statements that they share are built once, because building one takes as long as running it.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections import Counter
+from collections.abc import Callable, Collection, Mapping, Sequence
+from functools import cache
+from operator import itemgetter
+from typing import Any, Generic, TypeVar
+
+from sqlalchemy import (
+    BindParameter,
+    ColumnElement,
+    Connection,
+    Delete,
+    Integer,
+    Row,
+    Select,
+    Table,
+    Update,
+    and_,
+    bindparam,
+    delete,
+    func,
+    insert,
+    select,
+    true,
+    update,
+)
+from sqlalchemy.exc import IntegrityError
+from sqlalchemy.sql.dml import ReturningInsert
+
+from revisit.service.domain.errors import AlreadyExists, NotFound
+from revisit.service.domain.events import ChangeOf
+from revisit.service.domain.identity import TenantId
+from revisit.service.domain.records import ScanRecord, SubmapRecord
+from revisit.service.domain.states import SubmapState
+from revisit.service.engines.sql import tables
+from revisit.service.engines.sql.checksums import sound_descriptor
+from revisit.service.engines.sql.engine import DatabaseEngine
+from revisit.service.engines.sql.presence import present
+from revisit.service.ports.repositories import FoundSubmap, PathPoint, PlacedSubmap
+
+Scalar = str | int | None
+Asked = Mapping[str, Scalar]
+"""The value that each named column must have; also the parameters of the statements that are built from it."""
+
+R = TypeVar("R")
+
+REVISED_AT_ONCE = 500
+"""Rows that one statement changes: each is a parameter of it."""
+
+
+class SqlRepository(Generic[R]):
+    """`Repository` over a table whose columns are the fields of the record."""
+
+    def __init__(
+        self,
+        connection: Connection,
+        engine: DatabaseEngine,
+        table: Table,
+        record: type[R],
+        on_change: ChangeOf[R] | None = None,
+        *,
+        sees_all: bool = False,
+    ) -> None:
+        """`on_change` hears each add and replace; `sees_all`: rows of what is being deleted are seen, too."""
+        self._connection = connection
+        self._engine = engine
+        self._table = table
+        self._record = record
+        self._key: tuple[str, ...] = table.info["key"]
+        self._on_change = on_change
+        self._sees_all = sees_all
+
+    def add(self, record: R) -> R:
+        """See `Repository`."""
+        row = column_values(record)
+        row.pop("number")
+        try:
+            number = int(self._connection.execute(new_row(self._table), row).scalar_one())
+        except IntegrityError as error:
+            if self._engine.is_duplicate(error):
+                raise AlreadyExists from error
+            raise NotFound("the parent of this resource does not exist") from error
+        added: R = dataclasses.replace(record, number=number)  # type: ignore[type-var]  # R is always a record dataclass
+        if self._on_change is not None:
+            self._on_change(None, added)
+        return added
+
+    def add_all(self, records: Sequence[R]) -> None:
+        """See `Repository`."""
+        rows = [column_values(record) for record in records]
+        for row in rows:
+            row.pop("number")
+        try:
+            if rows:
+                self._connection.execute(insert(self._table), rows)
+        except IntegrityError as error:
+            if self._engine.is_duplicate(error):
+                raise AlreadyExists from error
+            raise NotFound("the parent of one of these resources does not exist") from error
+        for record in records if self._on_change is not None else ():
+            self._on_change(None, record)  # type: ignore[misc]  # the loop is empty without it
+
+    def get(self, tenant: TenantId, *key: str | int) -> R | None:
+        """See `Repository`."""
+        asked = of_tenant(tenant, dict(zip(self._key, key, strict=True)))
+        row = self._connection.execute(self._rows_where(asked), asked).one_or_none()
+        return None if row is None else self._of(row)
+
+    def find(self, tenant: TenantId, *, after: int = 0, limit: int | None = None, **equals: Scalar) -> list[R]:
+        """See `Repository`."""
+        return self._found(of_tenant(tenant, equals), after, limit)
+
+    def numbered(self, tenant: TenantId, numbers: Sequence[int]) -> dict[int, R]:
+        """See `Repository`."""
+        rows = self._connection.execute(
+            _numbered(self._table, self._sees_all), {"numbers": numbers, "its_tenant": tenant}
+        )
+        return {row.number: self._of(row) for row in rows}
+
+    def distinct(self, tenant: TenantId, field: str, **equals: Scalar) -> set[Any]:
+        """See `Repository`."""
+        asked = of_tenant(tenant, equals)
+        query = _distinct_where(self._table, self._sees_all, field, *_given_and_absent(asked))
+        return set(self._connection.execute(query, asked).scalars())
+
+    def count(self, tenant: TenantId, **equals: Scalar) -> int:
+        """See `Repository`."""
+        asked = of_tenant(tenant, equals)
+        return int(self._connection.execute(self._count_where(asked), asked).scalar_one())
+
+    def count_of_all_tenants(self, **equals: Scalar) -> int:
+        """See `Repository`."""
+        return int(self._connection.execute(self._count_where(equals), equals).scalar_one())
+
+    def of_all_tenants(self, *, after: int = 0, limit: int | None = None) -> list[R]:
+        """See `Repository`."""
+        return self._found({}, after, limit)
+
+    def replace(self, record: R) -> None:
+        """See `Repository`."""
+        row = column_values(record)
+        before = None if self._on_change is None else self.numbered(row["tenant"], [row["number"]]).get(row["number"])
+        which = {"its_number": row.pop("number"), "its_tenant": row.pop("tenant")}
+        if self._connection.execute(changed_row(self._table), {**row, **which}).rowcount != 1:
+            raise NotFound
+        if self._on_change is not None:
+            self._on_change(before, record)
+
+    def revise(self, records: Sequence[R], **fields: Scalar) -> None:
+        """See `Repository`."""
+        which = [column_values(record) for record in records]
+        for start in range(0, len(which), REVISED_AT_ONCE):
+            some = which[start : start + REVISED_AT_ONCE]
+            which_rows = {"numbers": [row["number"] for row in some], "its_tenant": some[0]["tenant"]}
+            query = update(self._table).where(_have_numbers(self._table)).values(fields)
+            if self._connection.execute(query, which_rows).rowcount != len(some):
+                raise NotFound
+        if self._on_change is not None:
+            for record in records:
+                self._on_change(record, dataclasses.replace(record, **fields))  # type: ignore[type-var]  # as in `add`
+
+    def delete(self, tenant: TenantId, **equals: Scalar) -> int:
+        """See `Repository`."""
+        asked = of_tenant(tenant, equals)
+        return self._connection.execute(delete(self._table).where(_matches(self._table, asked)), asked).rowcount
+
+    def some(self, tenant: TenantId, limit: int, **equals: Scalar) -> list[R]:
+        """See `Repository`."""
+        asked = of_tenant(tenant, equals)
+        query = self._rows_where(asked).limit(bindparam("at_most"))
+        return [self._of(row) for row in self._connection.execute(query, {**asked, "at_most": limit})]
+
+    def named(self, tenant: TenantId, field: str, values: Collection[str]) -> set[str]:
+        """See `Repository`."""
+        asked = {"its_tenant": tenant, "its_values": list(values)}
+        return set(self._connection.execute(_values_named(self._table, self._sees_all, field), asked).scalars())
+
+    def delete_some(self, tenant: TenantId, limit: int, field: str, values: Sequence[Scalar]) -> int:
+        """See `Repository`."""
+        asked = {"its_tenant": tenant, "at_most": limit, "its_values": values}
+        return self._connection.execute(_some_deleted(self._table, field), asked).rowcount
+
+    def _rows_where(self, asked: Asked) -> Select[Any]:
+        """The rows that have what is asked."""
+        return _rows_where(self._table, self._sees_all, *_given_and_absent(asked))
+
+    def _count_where(self, asked: Asked) -> Select[int]:
+        """How many rows have what is asked."""
+        return _count_where(self._table, self._sees_all, *_given_and_absent(asked))
+
+    def _where(self, asked: Asked) -> ColumnElement[bool]:
+        """Whether a row has what is asked, and is seen."""
+        return and_(_matches(self._table, asked), seen(self._table, self._sees_all))
+
+    def _found(self, asked: Asked, after: int, limit: int | None) -> list[R]:
+        query = _rows_after(self._table, self._sees_all, *_given_and_absent(asked), limited=limit is not None)
+        rows = self._connection.execute(query, {**asked, "after_number": after, "at_most": limit})
+        return [self._of(row) for row in rows]
+
+    def _of(self, row: Row[Any]) -> R:
+        fields = _in_order_of_fields(self._table, self._record)  # type: ignore[arg-type]  # classes are hashable
+        return self._record(*fields(row))
+
+
+class SqlScans(SqlRepository[ScanRecord]):
+    """`ScanRepository`."""
+
+    def first_seq_from(self, tenant: TenantId, map_id: str, session_id: str, travelled_m: float) -> int | None:
+        """See `ScanRepository`."""
+        asked = of_tenant(tenant, {"map_id": map_id, "session_id": session_id})
+        where = and_(self._where(asked), tables.scans.c.travelled_m >= travelled_m)
+        query = select(func.min(tables.scans.c.seq)).where(where)
+        first: int | None = self._connection.execute(query, asked).scalar_one()
+        return first
+
+    def points_of(self, tenant: TenantId) -> int:
+        """See `ScanRepository`."""
+        scans = tables.scans.c
+        query = select(func.coalesce(func.sum(scans.point_count), 0)).where(scans.tenant == tenant)
+        return int(self._connection.execute(query).scalar_one())
+
+    def with_seqs(self, tenant: TenantId, map_id: str, session_id: str, seqs: Sequence[int]) -> list[ScanRecord]:
+        """See `ScanRepository`."""
+        seq, asked = tables.scans.c.seq, of_tenant(tenant, {"map_id": map_id, "session_id": session_id})
+        rows = self._connection.execute(self._rows_where(asked).where(seq.in_(seqs)).order_by(seq), asked)
+        return [self._of(row) for row in rows]
+
+
+class SqlSubmaps(SqlRepository[SubmapRecord]):
+    """`SubmapRepository`."""
+
+    def add(self, record: SubmapRecord) -> SubmapRecord:
+        """See `Repository`; the number is noted for `last_number`."""
+        added = super().add(record)
+        later = {"its_tenant": added.tenant, "its_number": added.number}
+        # No upsert, which is not standard SQL: the transaction holds the lock of the writers.
+        if self._connection.execute(_later_number(), later).rowcount == 0:
+            first = {"tenant": added.tenant, "number": added.number}
+            self._connection.execute(insert(tables.last_submaps), first)
+        return added
+
+    def _of(self, row: Row[Any]) -> SubmapRecord:
+        """A submap without its descriptor where that is damaged."""
+        record = super()._of(row)
+        descriptor = sound_descriptor(record.number, record.descriptor, row.checksum)
+        return record if descriptor is record.descriptor else dataclasses.replace(record, descriptor=descriptor)
+
+    def last_number(self, tenant: TenantId) -> int:
+        """See `SubmapRepository`."""
+        return int(self._connection.execute(_last_number(), {"tenant": tenant}).scalar() or 0)
+
+    def points_of(self, tenant: TenantId) -> int:
+        """See `SubmapRepository`."""
+        submaps = tables.submaps.c
+        posted = and_(submaps.tenant == tenant, submaps.cloud_sha256.is_not(None))
+        query = select(func.coalesce(func.sum(submaps.point_count), 0)).where(posted)
+        return int(self._connection.execute(query).scalar_one())
+
+    def placed(self, tenant: TenantId, map_id: str, after: int = 0) -> list[PlacedSubmap]:
+        """See `SubmapRepository`."""
+        submaps, asked = tables.submaps.c, of_tenant(tenant, {"map_id": map_id})
+        columns = (submaps.number, submaps.session_number, submaps.ordinal, submaps.T_odom_submap)
+        query = select(*columns).where(self._where(asked), submaps.number > after)
+        query = query.order_by(submaps.session_number, submaps.ordinal)
+        return [PlacedSubmap(*row) for row in self._connection.execute(query, asked)]
+
+    def found(self, tenant: TenantId, numbers: Sequence[int]) -> dict[int, FoundSubmap]:
+        """See `SubmapRepository`."""
+        rows = self._connection.execute(_found_submaps(self._sees_all), {"numbers": numbers, "its_tenant": tenant})
+        return {row.number: FoundSubmap(*row) for row in rows}
+
+    def path(
+        self, tenant: TenantId, map_id: str, session_id: str, ordinal: int, limit: int, *, back: bool = False
+    ) -> list[PathPoint]:
+        """See `SubmapRepository`."""
+        asked = of_tenant(tenant, {"map_id": map_id, "session_id": session_id})
+        rows = self._connection.execute(
+            _path(self._sees_all, back=back), {**asked, "from_ordinal": ordinal, "at_most": limit}
+        )
+        return [PathPoint(*row) for row in rows]
+
+    def first_waiting(self, tenant: TenantId, map_id: str) -> int | None:
+        """See `SubmapRepository`."""
+        asked = of_tenant(tenant, {"state": SubmapState.QUEUED.value, "map_id": map_id})
+        query = select(func.min(tables.submaps.c.number)).where(self._where(asked))
+        first: int | None = self._connection.execute(query, asked).scalar_one()
+        return first
+
+    def flag_counts(self, tenant: TenantId, map_id: str, session_id: str) -> dict[str, int]:
+        """See `SubmapRepository`."""
+        submaps = tables.submaps.c
+        asked = of_tenant(tenant, {"map_id": map_id, "session_id": session_id})
+        kinds = select(submaps.flags, submaps.failure_code, func.count()).where(self._where(asked))
+        counts: Counter[str] = Counter()
+        for flags, failure, count in self._connection.execute(
+            kinds.group_by(submaps.flags, submaps.failure_code), asked
+        ):
+            counts.update(dict.fromkeys((*flags, *(() if failure is None else (failure,))), count))
+        return dict(counts)
+
+
+def of_tenant(tenant: TenantId, equals: Asked) -> dict[str, Scalar]:
+    """`equals` within the rows of one tenant: no row of another is ever looked at."""
+    return {"tenant": tenant, **equals}
+
+
+def column_values(record: Any) -> dict[str, Any]:
+    """The fields of a record by column, not copied deeply: JSON fields stay as they are."""
+    return {field.name: getattr(record, field.name) for field in dataclasses.fields(record)}
+
+
+@cache
+def new_row(table: Table) -> ReturningInsert[Any]:
+    """A new row; gives its primary key."""
+    return insert(table).returning(*table.primary_key.columns)
+
+
+@cache
+def changed_row(table: Table) -> Update:
+    """Overwrites the row of number `its_number` of tenant `its_tenant`."""
+    return update(table).where(table.c.number == bindparam("its_number"), table.c.tenant == bindparam("its_tenant"))
+
+
+def _given_and_absent(asked: Asked) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """The columns that must equal the parameter of their name, and those that must be null."""
+    given = tuple(name for name, value in asked.items() if value is not None)
+    return given, tuple(name for name, value in asked.items() if value is None)
+
+
+@cache
+def _distinct_where(
+    table: Table, sees_all: bool, field: str, given: tuple[str, ...], absent: tuple[str, ...]
+) -> Select[Any]:
+    """Each value of a column that is not null, once."""
+    column = table.c[field]
+    return select(column).where(_has(table, given, absent), seen(table, sees_all), column.is_not(None)).distinct()
+
+
+@cache
+def _numbered(table: Table, sees_all: bool) -> Select[Any]:
+    return select(table).where(_have_numbers(table), seen(table, sees_all))
+
+
+@cache
+def _found_submaps(sees_all: bool) -> Select[Any]:
+    columns = (tables.submaps.c[field.name] for field in dataclasses.fields(FoundSubmap))
+    return select(*columns).where(_have_numbers(tables.submaps), seen(tables.submaps, sees_all))
+
+
+@cache
+def _path(sees_all: bool, *, back: bool) -> Select[Any]:
+    """What `SubmapRepository.path` tells of the submaps of a session from `from_ordinal` on, or back."""
+    submaps = tables.submaps.c
+    query = select(*(submaps[field.name] for field in dataclasses.fields(PathPoint)))
+    query = query.where(_has(tables.submaps, ("tenant", "map_id", "session_id"), ()), seen(tables.submaps, sees_all))
+    start = bindparam("from_ordinal", type_=Integer)
+    ahead = submaps.ordinal < start if back else submaps.ordinal > start
+    order = submaps.ordinal.desc() if back else submaps.ordinal
+    return query.where(ahead).order_by(order).limit(bindparam("at_most"))
+
+
+def _have_numbers(table: Table) -> ColumnElement[bool]:
+    """The rows of tenant `its_tenant` with one of the `numbers`.
+
+    The tenant is made an expression, which no index holds: else the engine looks through all rows of the tenant, where
+    a few are asked for by their numbers.
+    """
+    numbers: BindParameter[Any] = bindparam("numbers", expanding=True)
+    return and_(table.c.number.in_(numbers), table.c.tenant.concat("") == bindparam("its_tenant"))
+
+
+@cache
+def _later_number() -> Update:
+    """Makes `its_number` the last number of tenant `its_tenant`."""
+    last = tables.last_submaps
+    return update(last).where(last.c.tenant == bindparam("its_tenant")).values(number=bindparam("its_number"))
+
+
+@cache
+def _last_number() -> Select[int]:
+    last = tables.last_submaps.c
+    return select(last.number).where(last.tenant == bindparam("tenant"))
+
+
+@cache
+def _rows_where(table: Table, sees_all: bool, given: tuple[str, ...], absent: tuple[str, ...]) -> Select[Any]:
+    return select(table).where(_has(table, given, absent), seen(table, sees_all))
+
+
+@cache
+def _rows_after(
+    table: Table, sees_all: bool, given: tuple[str, ...], absent: tuple[str, ...], *, limited: bool
+) -> Select[Any]:
+    """The rows whose numbers are above `after_number`, in their order; `at_most` so many of them where `limited`."""
+    number = table.c.number
+    rows = _rows_where(table, sees_all, given, absent).where(number > bindparam("after_number")).order_by(number)
+    return rows.limit(bindparam("at_most")) if limited else rows
+
+
+@cache
+def _in_order_of_fields(table: Table, record: type) -> Callable[[Row[Any]], tuple[Any, ...]]:
+    """What brings the columns of a row into the order of the record's fields."""
+    columns = list(table.columns.keys())
+    return itemgetter(*(columns.index(field.name) for field in dataclasses.fields(record)))
+
+
+@cache
+def _count_where(table: Table, sees_all: bool, given: tuple[str, ...], absent: tuple[str, ...]) -> Select[int]:
+    return select(func.count()).select_from(table).where(_has(table, given, absent), seen(table, sees_all))
+
+
+@cache
+def _values_named(table: Table, sees_all: bool, field: str) -> Select[Any]:
+    """Those of `its_values` that the `field` of a row of tenant `its_tenant` has."""
+    values: BindParameter[Any] = bindparam("its_values", expanding=True)
+    its = and_(table.c.tenant == bindparam("its_tenant"), table.c[field].in_(values))
+    return select(table.c[field]).where(its, seen(table, sees_all)).distinct()
+
+
+@cache
+def _some_deleted(table: Table, field: str) -> Delete:
+    """Deletes `at_most` so many rows of tenant `its_tenant` whose `field` has one of `its_values`."""
+    values: BindParameter[Any] = bindparam("its_values", expanding=True)
+    own = table.c.tenant.concat("") == bindparam("its_tenant")
+    some = select(table.c.number).where(table.c[field].in_(values), own).limit(bindparam("at_most"))
+    return delete(table).where(table.c.number.in_(some))
+
+
+def seen(table: Table, sees_all: bool) -> ColumnElement[bool]:
+    """Whether a row is seen by those who see everything, or not."""
+    return true() if sees_all else present(table)
+
+
+def _matches(table: Table, asked: Asked) -> ColumnElement[bool]:
+    """Whether a row has what is asked."""
+    return _has(table, *_given_and_absent(asked))
+
+
+def _has(table: Table, given: tuple[str, ...], absent: tuple[str, ...]) -> ColumnElement[bool]:
+    equal = (table.c[name] == bindparam(name) for name in given)
+    return and_(true(), *equal, *(table.c[name].is_(None) for name in absent))

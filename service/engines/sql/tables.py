@@ -1,0 +1,468 @@
+"""Tables: one per record of `contract.records`, a column per field.
+
+Statements are built from them; the schema itself is created by migrations/, which also say what no table here can: that
+a number is never given out twice, and which rows an index holds (`info["where"]`).
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from sqlalchemy import (
+    JSON,
+    BigInteger,
+    Boolean,
+    Column,
+    Dialect,
+    Float,
+    ForeignKeyConstraint,
+    Index,
+    Integer,
+    LargeBinary,
+    MetaData,
+    String,
+    Table,
+    Text,
+    UniqueConstraint,
+)
+from sqlalchemy.types import TypeDecorator
+
+from revisit.service.engines.sql.packed_columns import PackedEvidence, PackedPose
+
+NAMING = {
+    "ix": "ix_%(table_name)s_%(column_0_N_name)s",
+    "uq": "uq_%(table_name)s_%(column_0_N_name)s",
+    "fk": "fk_%(table_name)s_%(referred_table_name)s_%(column_0_N_name)s",
+    "pk": "pk_%(table_name)s",
+}
+metadata = MetaData(naming_convention=NAMING)
+
+ANSWERED_QUERIES = "priority = 0"
+"""The condition of the index of jobs by their end: those of queries, whose answers are forgotten after a while."""
+
+
+class JsonTuple(TypeDecorator[tuple[Any, ...]]):
+    """A tuple of numbers or strings as a JSON list; floats keep every bit."""
+
+    impl = JSON(none_as_null=True)
+    cache_ok = True
+
+    def process_result_value(self, value: Any, dialect: Dialect) -> tuple[Any, ...] | None:
+        """The list read as a tuple."""
+        return None if value is None else tuple(value)
+
+
+def _numbered(name: str, key: tuple[str, ...], *columns: Any) -> Table:
+    """A table whose rows have a tenant, a number that is never used twice, and a unique `key` within the tenant."""
+    return Table(
+        name,
+        metadata,
+        Column("number", Integer, primary_key=True, autoincrement=True),
+        Column("tenant", String(64), nullable=False),
+        *columns,
+        UniqueConstraint("tenant", *key),
+        info={"key": key},
+    )
+
+
+def _text(name: str, *, length: int = 64, nullable: bool = False) -> Column[str]:
+    return Column(name, String(length), nullable=nullable)
+
+
+def _integer(name: str, *, nullable: bool = False) -> Column[int]:
+    return Column(name, BigInteger, nullable=nullable)
+
+
+def _real(name: str, *, nullable: bool = False) -> Column[float]:
+    return Column(name, Float, nullable=nullable)
+
+
+def _json(name: str, *, nullable: bool = False) -> Column[Any]:
+    return Column(name, JSON(none_as_null=True), nullable=nullable)
+
+
+def _tuple(name: str, *, nullable: bool = False) -> Column[tuple[Any, ...]]:
+    return Column(name, JsonTuple(), nullable=nullable)
+
+
+def _pose(name: str, *, nullable: bool = False) -> Column[tuple[float, ...]]:
+    return Column(name, PackedPose(), nullable=nullable)
+
+
+maps = _numbered(
+    "maps",
+    ("map_id",),
+    _text("map_id"),
+    _text("content_hash"),
+    _text("display_name", length=256),
+    _real("tau_m", nullable=True),
+    _real("stride_m", nullable=True),
+    _real("leave_distance_m", nullable=True),
+    Column("scene_scale", Float, nullable=False, server_default="1.0"),
+    _integer("loop_candidates", nullable=True),
+    _real("min_score", nullable=True),
+    _real("min_overlap", nullable=True),
+    _real("max_seen_through", nullable=True),
+    _text("model_version", length=128, nullable=True),
+    _integer("created_at_ns"),
+    Column("map_version", BigInteger, nullable=False, server_default="0"),
+    Column("graph_edits", BigInteger, nullable=False, server_default="0"),
+    _text("index_file", length=128, nullable=True),
+)
+
+robots = _numbered(
+    "robots",
+    ("robot_id",),
+    _text("robot_id"),
+    _text("content_hash"),
+    _text("display_name", length=256),
+    _integer("created_at_ns"),
+)
+
+sessions = _numbered(
+    "sessions",
+    ("map_id", "session_id"),
+    _text("map_id"),
+    _text("session_id"),
+    _text("content_hash"),
+    _text("robot_id", nullable=True),
+    _text("state", length=16),
+    _integer("committed_seq"),
+    _integer("next_ordinal"),
+    _real("travelled_m"),
+    _real("window_start_m"),
+    _integer("window_first_seq"),
+    _real("emitted_to_m", nullable=True),
+    _integer("created_at_ns"),
+    _integer("finished_at_ns", nullable=True),
+    _text("storey", nullable=True),
+    ForeignKeyConstraint(["tenant", "map_id"], ["maps.tenant", "maps.map_id"]),
+    ForeignKeyConstraint(["tenant", "robot_id"], ["robots.tenant", "robots.robot_id"]),
+    Index(None, "tenant", "map_id", "storey"),
+)
+
+scans = _numbered(
+    "scans",
+    ("map_id", "session_id", "seq"),
+    _text("map_id"),
+    _text("session_id"),
+    _integer("seq"),
+    _integer("stamp_ns"),
+    _pose("T_odom_sensor"),
+    _real("travelled_m"),
+    _integer("point_count"),
+    _text("cloud_sha256"),
+    ForeignKeyConstraint(
+        ["tenant", "map_id", "session_id"], ["sessions.tenant", "sessions.map_id", "sessions.session_id"]
+    ),
+    Index(None, "tenant", "map_id", "session_id", "travelled_m"),
+    Index(None, "tenant", "cloud_sha256"),
+)
+
+submaps = _numbered(
+    "submaps",
+    ("map_id", "session_id", "submap_id"),
+    _text("map_id"),
+    _text("session_id"),
+    _text("submap_id"),
+    _text("content_hash"),
+    _text("state", length=16),
+    _integer("ordinal"),
+    _integer("session_number"),
+    _pose("T_odom_submap"),
+    _tuple("position_m"),
+    _integer("stamp_ns"),
+    _text("cloud_sha256", nullable=True),
+    _integer("first_seq", nullable=True),
+    _integer("last_seq", nullable=True),
+    _integer("scan_count"),
+    _integer("point_count"),
+    _text("operation_id"),
+    _tuple("flags"),
+    _integer("created_at_ns"),
+    _text("model_version", length=128, nullable=True),
+    Column("descriptor", LargeBinary, nullable=True),
+    # The name of version 0.1: `restore` checks a backup by this column before it migrates anything.
+    Column("signature_sha256", String(64), key="place_sha256", nullable=True),
+    _text("neural_map_sha256", nullable=True),
+    _integer("neural_map_bytes", nullable=True),
+    _text("failure_code", nullable=True),
+    Column("failure_message", Text, nullable=True),
+    # No field of the record: the engine keeps it, if it keeps any (see `checksums`).
+    _integer("checksum", nullable=True),
+    ForeignKeyConstraint(
+        ["tenant", "map_id", "session_id"], ["sessions.tenant", "sessions.map_id", "sessions.session_id"]
+    ),
+    Index(None, "state", "tenant", "map_id"),
+    Index(None, "tenant", "map_id", "session_id", "ordinal"),
+    Index(None, "tenant", "cloud_sha256"),
+    Index(None, "tenant", "place_sha256"),
+    Index(None, "tenant", "neural_map_sha256"),
+)
+
+loops = _numbered(
+    "loop_closures",
+    ("map_id", "loop_id"),
+    _text("map_id"),
+    _text("loop_id"),
+    Column("query_number", Integer, nullable=False),
+    Column("match_number", Integer, nullable=False),
+    _text("query_session_id"),
+    _text("query_submap_id"),
+    _text("match_session_id"),
+    _text("match_submap_id"),
+    _text("state", length=16),
+    _text("reason", nullable=True),
+    _real("similarity"),
+    _real("score"),
+    _pose("T_match_query", nullable=True),
+    Column("evidence", PackedEvidence(), nullable=False),
+    _integer("created_at_ns"),
+    _text("graph_state", length=16, nullable=True),
+    Column("manual", Boolean, nullable=False, server_default="0"),
+    ForeignKeyConstraint(["tenant", "map_id"], ["maps.tenant", "maps.map_id"]),
+    ForeignKeyConstraint(["query_number"], ["submaps.number"]),
+    ForeignKeyConstraint(["match_number"], ["submaps.number"]),
+    Index(None, "tenant", "map_id", "state"),
+    Index(None, "query_number"),
+    Index(None, "match_number"),
+)
+
+loop_events = _numbered(
+    "loop_events",
+    ("number",),
+    _text("map_id"),
+    _text("loop_id"),
+    _text("kind", length=16),
+    _text("state", length=16),
+    _text("reason", nullable=True),
+    _text("graph_state", length=16, nullable=True),
+    _pose("T_match_query", nullable=True),
+    _text("actor", length=128),
+    Column("note", Text, nullable=False),
+    _integer("map_version"),
+    Column("details", PackedEvidence(), nullable=False),
+    Column("query_number", Integer, nullable=False),
+    Column("match_number", Integer, nullable=False),
+    _text("query_session_id"),
+    _text("match_session_id"),
+    _integer("at_ns"),
+    ForeignKeyConstraint(["tenant", "map_id"], ["maps.tenant", "maps.map_id"]),
+    Index(None, "tenant", "map_id", "loop_id"),
+    Index(None, "query_number"),
+    Index(None, "match_number"),
+)
+
+map_versions = _numbered(
+    "map_versions",
+    ("map_id", "version"),
+    _text("map_id"),
+    _integer("version"),
+    _integer("restored_from", nullable=True),
+    _text("operation_id", nullable=True),
+    _json("summary"),
+    Column("loops", LargeBinary, nullable=False),
+    _text("loops_hash"),
+    _integer("created_at_ns"),
+    ForeignKeyConstraint(["tenant", "map_id"], ["maps.tenant", "maps.map_id"]),
+)
+
+session_poses = _numbered(
+    "session_poses",
+    ("map_id", "version", "session_id"),
+    _text("map_id"),
+    _integer("version"),
+    _text("session_id"),
+    _integer("session_number"),
+    _text("frame"),
+    _pose("T_map_odom"),
+    Column("submaps", LargeBinary, nullable=False),
+    _text("content_hash"),
+    _integer("created_at_ns"),
+    ForeignKeyConstraint(
+        ["tenant", "map_id", "session_id"], ["sessions.tenant", "sessions.map_id", "sessions.session_id"]
+    ),
+    ForeignKeyConstraint(
+        ["tenant", "map_id", "version"], ["map_versions.tenant", "map_versions.map_id", "map_versions.version"]
+    ),
+    Index(None, "tenant", "map_id", "session_id"),
+)
+
+early_corrections = _numbered(
+    "early_corrections",
+    ("map_id", "session_id"),
+    _text("map_id"),
+    _text("session_id"),
+    _integer("version"),
+    _integer("loops"),
+    _pose("T_map_odom"),
+    _integer("created_at_ns"),
+    ForeignKeyConstraint(
+        ["tenant", "map_id", "session_id"], ["sessions.tenant", "sessions.map_id", "sessions.session_id"]
+    ),
+)
+
+deletions = _numbered(
+    "deletions",
+    ("map_id", "session_id"),
+    _text("map_id"),
+    _text("session_id"),
+    _integer("created_at_ns"),
+)
+
+map_merges = _numbered(
+    "map_merges",
+    ("map_id", "merge_id"),
+    _text("map_id"),
+    _text("merge_id"),
+    _text("source", length=300),
+    _integer("version_before"),
+    _integer("version"),
+    _tuple("sessions"),
+    _json("report"),
+    _integer("created_at_ns"),
+    _integer("reverted_at_ns", nullable=True),
+    ForeignKeyConstraint(["tenant", "map_id"], ["maps.tenant", "maps.map_id"]),
+)
+
+map_tiles = _numbered(
+    "map_tiles",
+    ("map_id", "version", "tile_id"),
+    _text("map_id"),
+    _integer("version"),
+    _text("tile_id"),
+    _text("tile_sha256"),
+    _integer("submaps"),
+    _integer("created_at_ns"),
+    ForeignKeyConstraint(["tenant", "map_id"], ["maps.tenant", "maps.map_id"]),
+    Index(None, "tenant", "tile_sha256"),
+)
+
+map_files = _numbered(
+    "map_files",
+    ("map_id", "version"),
+    _text("map_id"),
+    _integer("version"),
+    _text("sha256"),
+    _integer("size_bytes"),
+    _text("layout_sha256"),
+    _tuple("sessions"),
+    _integer("submaps"),
+    _text("state", length=16),
+    Column("description", Text, nullable=False),
+    _integer("created_at_ns"),
+    ForeignKeyConstraint(["tenant", "map_id"], ["maps.tenant", "maps.map_id"]),
+    Index(None, "tenant", "layout_sha256"),
+)
+
+jobs = _numbered(
+    "jobs",
+    ("operation_id",),
+    _text("operation_id"),
+    _text("kind", length=32),
+    _text("state", length=16),
+    _text("subject", length=256),
+    _json("payload"),
+    _integer("attempts"),
+    _integer("max_attempts"),
+    _integer("created_at_ns"),
+    _integer("priority"),
+    _text("lease_owner", nullable=True),
+    _integer("lease_token"),
+    _text("lease_epoch"),
+    Column("claimed_ms", BigInteger, nullable=False, server_default="0"),
+    _integer("not_before_ms"),
+    _integer("lease_expires_ms"),
+    _text("request_id", nullable=True),
+    _text("traceparent", nullable=True),
+    _json("result", nullable=True),
+    _text("failure_code", nullable=True),
+    Column("failure_message", Text, nullable=True),
+    _integer("finished_at_ns", nullable=True),
+    Column("forgiven", BigInteger, nullable=False, server_default="0"),
+    _json("progress", nullable=True),
+    Column("cancel_requested", Boolean, nullable=False, server_default="0"),
+    Index(None, "state", "tenant", "priority"),
+    Index(None, "tenant", "state"),
+    Index(None, "finished_at_ns", info={"where": ANSWERED_QUERIES}),
+)
+
+index_changes = Table(
+    "index_changes",
+    metadata,
+    Column("seq", Integer, primary_key=True, autoincrement=True),
+    Column("tenant", String(64), nullable=False),
+    Column("map_number", Integer, nullable=False),
+    Column("submap_number", Integer, nullable=False),
+    Column("kind", String(16), nullable=False),
+    Index(None, "tenant", "map_number", "seq"),
+)
+
+events = Table(
+    "events",
+    metadata,
+    Column("number", Integer, primary_key=True, autoincrement=True),
+    Column("tenant", String(64), nullable=False),
+    _text("map_id"),
+    _text("kind", length=16),
+    _text("subject"),
+    Index(None, "tenant", "number"),
+)
+
+webhooks = _numbered(
+    "webhooks",
+    ("webhook_id",),
+    _text("webhook_id"),
+    _text("content_hash"),
+    Column("url", Text, nullable=False),
+    _text("map_id", nullable=True),
+    _tuple("kinds"),
+    _text("secret"),
+    _text("state", length=16),
+    _integer("told"),
+    _integer("failures"),
+    _integer("due_at_ns"),
+    _integer("created_at_ns"),
+)
+
+webhook_deliveries = Table(
+    "webhook_deliveries",
+    metadata,
+    Column("number", Integer, primary_key=True, autoincrement=True),
+    Column("tenant", String(64), nullable=False),
+    _text("webhook_id"),
+    _integer("first_event"),
+    _integer("last_event"),
+    _integer("events"),
+    _integer("attempt"),
+    _integer("status", nullable=True),
+    Column("error", Text, nullable=True),
+    _integer("took_ms"),
+    _integer("at_ns"),
+    Index(None, "tenant", "webhook_id"),
+    info={"key": ("number",)},
+)
+
+workers = Table(
+    "workers",
+    metadata,
+    Column("worker_id", String(64), primary_key=True),
+    Column("model_version", String(128), nullable=False),
+    Column("epoch", String(64), nullable=False),
+    Column("seen_ms", BigInteger, nullable=False),
+)
+
+tenant_turns = Table(
+    "tenant_turns",
+    metadata,
+    Column("tenant", String(64), primary_key=True),
+    Column("started_ms", BigInteger, nullable=False),
+    Column("spent_ms", BigInteger, nullable=False),
+)
+
+last_submaps = Table(
+    "last_submaps",
+    metadata,
+    Column("tenant", String(64), primary_key=True),
+    Column("number", BigInteger, nullable=False),
+)

@@ -1,0 +1,163 @@
+"""One transaction of an SQL database, as the use cases see it: which records lie in which table."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any, Generic, TypeVar
+
+from sqlalchemy import Connection, Table
+
+from revisit.service.domain.events import (
+    ChangeOf,
+    EventLog,
+    on_job_change,
+    on_loop_change,
+    on_version_change,
+)
+from revisit.service.domain.records import (
+    DeletionRecord,
+    EarlyCorrectionRecord,
+    JobRecord,
+    LoopEventRecord,
+    LoopRecord,
+    MapFileRecord,
+    MapMergeRecord,
+    MapRecord,
+    MapTileRecord,
+    MapVersionRecord,
+    RobotRecord,
+    ScanRecord,
+    SessionPosesRecord,
+    SessionRecord,
+    SubmapRecord,
+)
+from revisit.service.domain.webhooks import DeliveryRecord, WebhookRecord
+from revisit.service.engines.fair_turns import FairTurns
+from revisit.service.engines.leased_jobs import LeasedJobs
+from revisit.service.engines.sql import tables
+from revisit.service.engines.sql.access import SqlAuditTrail, SqlKeyRing
+from revisit.service.engines.sql.change_log import SqlChangeLog
+from revisit.service.engines.sql.engine import DatabaseEngine
+from revisit.service.engines.sql.event_log import SqlEventLog
+from revisit.service.engines.sql.jobs import SqlJobs
+from revisit.service.engines.sql.loops import SqlLoops
+from revisit.service.engines.sql.repositories import SqlRepository, SqlScans, SqlSubmaps
+from revisit.service.engines.sql.turns import SqlTenantTurns
+from revisit.service.engines.sql.worker_log import SqlWorkerLog
+
+R = TypeVar("R")
+Kind = TypeVar("Kind", bound=SqlRepository[Any])
+
+
+class Stored(Generic[Kind]):
+    """An attribute of a unit of work: the repository of a table, made when it is first asked for."""
+
+    def __init__(
+        self, kind: Callable[..., Kind], table: Table, record: type, told: Callable[[EventLog], Any] | None = None
+    ) -> None:
+        """`told` gives what hears each add and replace, and notes it as an event."""
+        self._kind = kind
+        self._table = table
+        self._record = record
+        self._told = told
+
+    def __set_name__(self, owner: type, name: str) -> None:
+        """The attribute's name."""
+        self._name = name
+
+    def __get__(self, work: SqlUnitOfWork, owner: type) -> Kind:
+        """The repository; from now on it is found in the unit of work itself."""
+        on_change = None if self._told is None else self._told(work.events)
+        made = self._kind(work.connection, work.engine, self._table, self._record, on_change, sees_all=work.sees_all)
+        vars(work)[self._name] = made
+        return made
+
+
+def stored(
+    table: Table, record: type[R], told: Callable[[EventLog], ChangeOf[R]] | None = None
+) -> Stored[SqlRepository[R]]:
+    """A table that no use case asks more of than `Repository` can do."""
+    return Stored(SqlRepository, table, record, told)
+
+
+@dataclass(frozen=True)
+class SqlUnitOfWork:
+    """`UnitOfWork` over a connection in one transaction. A lease lasts `lease_ms` milliseconds."""
+
+    connection: Connection
+    engine: DatabaseEngine
+    lease_ms: int
+    sees_all: bool = False
+    """Whether rows of what is being deleted are seen."""
+
+    maps = stored(tables.maps, MapRecord)
+    """Maps by (map_id)."""
+    robots = stored(tables.robots, RobotRecord)
+    """Robots by (robot_id)."""
+    sessions = stored(tables.sessions, SessionRecord)
+    """Sessions by (map_id, session_id)."""
+    scans = Stored(SqlScans, tables.scans, ScanRecord)
+    """Scans by (map_id, session_id, seq)."""
+    submaps = Stored(SqlSubmaps, tables.submaps, SubmapRecord)
+    """Submaps by (map_id, session_id, submap_id)."""
+    loops = Stored(SqlLoops, tables.loops, LoopRecord, on_loop_change)
+    """Loop closures by (map_id, loop_id)."""
+    loop_events = stored(tables.loop_events, LoopEventRecord)
+    """Changes of loop closures by (number)."""
+    map_versions = stored(tables.map_versions, MapVersionRecord, on_version_change)
+    """Versions of maps by (map_id, version)."""
+    session_poses = stored(tables.session_poses, SessionPosesRecord)
+    """The poses of sessions in versions of maps by (map_id, version, session_id)."""
+    early_corrections = stored(tables.early_corrections, EarlyCorrectionRecord)
+    """Corrections ahead of the next version by (map_id, session_id)."""
+    deletions = stored(tables.deletions, DeletionRecord)
+    """What is being deleted by (map_id, session_id)."""
+    map_merges = stored(tables.map_merges, MapMergeRecord)
+    """Merges into maps by (map_id, merge_id)."""
+    map_tiles = stored(tables.map_tiles, MapTileRecord)
+    """Tiles of versions of maps that were made, by (map_id, version, tile_id)."""
+    map_files = stored(tables.map_files, MapFileRecord)
+    """Versions of maps as files by (map_id, version)."""
+    jobs = Stored(SqlJobs, tables.jobs, JobRecord, on_job_change)
+    """Jobs by (operation_id)."""
+    webhooks = stored(tables.webhooks, WebhookRecord)
+    """Webhooks by (webhook_id)."""
+    webhook_deliveries = stored(tables.webhook_deliveries, DeliveryRecord)
+    """Attempts to deliver by (number)."""
+
+    @cached_property
+    def everything(self) -> SqlUnitOfWork:
+        """The same transaction, which also sees the rows of what is being deleted."""
+        return replace(self, sees_all=True)
+
+    @cached_property
+    def queue(self) -> LeasedJobs:
+        """The job queue in this transaction."""
+        return LeasedJobs(self.jobs, FairTurns(SqlTenantTurns(self.connection)), self.lease_ms)
+
+    @cached_property
+    def changes(self) -> SqlChangeLog:
+        """The change log of the maps' indexes."""
+        return SqlChangeLog(self.connection, self.engine)
+
+    @cached_property
+    def events(self) -> SqlEventLog:
+        """The log of what happens in the maps."""
+        return SqlEventLog(self.connection, self.engine)
+
+    @cached_property
+    def workers(self) -> SqlWorkerLog:
+        """The living workers."""
+        return SqlWorkerLog(self.connection)
+
+    @cached_property
+    def keys(self) -> SqlKeyRing:
+        """API keys."""
+        return SqlKeyRing(self.connection)
+
+    @cached_property
+    def audit(self) -> SqlAuditTrail:
+        """The audit log."""
+        return SqlAuditTrail(self.connection, self.engine)

@@ -1,0 +1,1 @@
+"""Maps, robots, sessions, submaps: create, get, list, delete, download."""

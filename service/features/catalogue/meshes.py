@@ -1,0 +1,49 @@
+"""Meshes of submaps: made of the neural map by a worker whenever one is asked for, and not kept."""
+
+from __future__ import annotations
+
+import asyncio
+from dataclasses import asdict
+from typing import Any
+
+from revisit.service.capacity.admission import Admission
+from revisit.service.domain import limits
+from revisit.service.domain.identity import SubmapKey, TenantId
+from revisit.service.domain.states import OperationKind
+from revisit.service.features.catalogue.downloads import Room
+from revisit.service.features.catalogue.job import MESH_NONCE_BYTES
+from revisit.service.features.operations.worker_answers import WorkerAnswers
+from revisit.service.ports.blobs import MESH_BLOB
+from revisit.service.ports.storage import Storage
+
+MESH_POINTS = 500_000
+"""What a mesh costs: the 50 to 70 ms of a worker that a cloud of so many points takes, and three commits."""
+
+
+class SubmapMeshes:
+    """`Meshes` by the workers."""
+
+    def __init__(self, storage: Storage, admission: Admission, answers: WorkerAnswers) -> None:
+        """Files come through the blobs of `storage`."""
+        self._storage = storage
+        self._admission = admission
+        self._answers = answers
+
+    async def file(self, tenant: TenantId, key: SubmapKey, extension: str, room: Room) -> bytes:
+        """See `Meshes`. Raises also RateLimited, WorkersBusy, StorageFull, Draining."""
+        self._admission.require_storage()
+        self._admission.charge_call(tenant, MESH_POINTS)
+
+        def discard(result: dict[str, Any]) -> None:
+            self._storage.blobs.delete(tenant, MESH_BLOB, result["sha256"])
+
+        payload = {**asdict(key), "format": extension}
+        made = await self._answers.answer(
+            tenant, OperationKind.MAKE_MESH, key.name, payload, limits.TILE_WAIT_S, discard
+        )
+        try:
+            await room(int(made["bytes"]))
+            blob = await asyncio.to_thread(self._storage.blobs.get, tenant, MESH_BLOB, made["sha256"])
+        finally:
+            await asyncio.shield(asyncio.to_thread(discard, made))
+        return blob[MESH_NONCE_BYTES:]

@@ -1,0 +1,90 @@
+"""Robots: who drives. A session may name the robot that recorded it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import partial
+
+from revisit.service.capacity.admission import Admission
+from revisit.service.domain.identity import TenantId, content_hash, validated_id, validated_label
+from revisit.service.domain.records import RobotRecord
+from revisit.service.features.resources.paging import Lists, Page, PageRequest
+from revisit.service.ports.clock import Clock
+from revisit.service.ports.storage import Storage, require_robot, require_same_content
+from revisit.service.ports.transactions import UnitOfWork
+
+
+@dataclass(frozen=True)
+class CreateRobot:
+    """A new robot."""
+
+    robot_id: str
+    display_name: str = ""
+
+
+@dataclass(frozen=True)
+class RobotView:
+    """A robot as clients see it."""
+
+    robot_id: str
+    display_name: str
+    created_at_ns: int
+
+
+@dataclass(frozen=True)
+class CreatedRobot:
+    """The robot, and whether an earlier identical request had created it."""
+
+    robot: RobotView
+    replay: bool
+
+
+class Robots:
+    """Create, get and list robots."""
+
+    def __init__(self, storage: Storage, lists: Lists, admission: Admission, clock: Clock) -> None:
+        """Robots are kept in `storage`, and listed by `lists`."""
+        self._lists = lists
+        self._storage = storage
+        self._admission = admission
+        self._clock = clock
+
+    async def create(self, tenant: TenantId, command: CreateRobot) -> CreatedRobot:
+        """Create a robot.
+
+        Raises BadField; AlreadyExists where the id is taken by other content; Draining, RateLimited.
+        """
+        self._admission.charge_creation(tenant)
+        record = RobotRecord(
+            tenant=tenant,
+            robot_id=validated_id(command.robot_id, "robot_id"),
+            content_hash=content_hash([validated_label(command.display_name, "display_name")]),
+            display_name=command.display_name,
+            created_at_ns=self._clock.wall_ns(),
+        )
+        return await self._storage.write(partial(_add, record=record))
+
+    async def get(self, tenant: TenantId, robot_id: str) -> RobotView:
+        """Raises NotFound."""
+        return _view(await self._storage.read(partial(require_robot, tenant=tenant, robot_id=robot_id)))
+
+    async def list(self, tenant: TenantId, page: PageRequest) -> Page[RobotView]:
+        """The tenant's robots, oldest first."""
+        return await self._lists.page(
+            tenant,
+            page,
+            lambda uow, after, limit: uow.robots.find(tenant, after=after, limit=limit),
+            lambda _, row: _view(row),
+        )
+
+
+def _add(uow: UnitOfWork, record: RobotRecord) -> CreatedRobot:
+    known = uow.robots.get(record.tenant, record.robot_id)
+    if known is None:
+        return CreatedRobot(_view(uow.robots.add(record)), replay=False)
+    require_same_content(known.content_hash, record.content_hash, f"robot {record.robot_id}")
+    return CreatedRobot(_view(known), replay=True)
+
+
+def _view(record: RobotRecord) -> RobotView:
+    return RobotView(record.robot_id, record.display_name, record.created_at_ns)

@@ -1,0 +1,240 @@
+"""Sessions: one drive of one robot, in one odometry frame."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import partial
+
+from revisit.core.sanity.finding import LIKELY_CAUSES
+from revisit.service.capacity.admission import Admission
+from revisit.service.capacity.backlog import JobPosting
+from revisit.service.domain.identity import (
+    SessionKey,
+    TenantId,
+    content_hash,
+    validated_id,
+    validated_storey,
+)
+from revisit.service.domain.policy import Policy
+from revisit.service.domain.records import SessionRecord
+from revisit.service.domain.states import SessionState
+from revisit.service.failpoints import failpoint
+from revisit.service.features.audit import calls as audit
+from revisit.service.features.audit.calls import AuditEntry
+from revisit.service.features.catalogue.no_loops import NoLoops, why_no_loops
+from revisit.service.features.catalogue.odometry_findings import SessionFinding, odometry_findings
+from revisit.service.features.deletion.blob_references import Blob, BlobCollector
+from revisit.service.features.deletion.erasure import Erasure
+from revisit.service.features.deletion.rows import mark_session
+from revisit.service.features.ingest.open_streams import OpenStreams
+from revisit.service.features.ingest.rules import add_window_submap, remainder
+from revisit.service.features.resources.paging import Lists, Page, PageRequest
+from revisit.service.ports.clock import Clock
+from revisit.service.ports.storage import (
+    Storage,
+    require_deleted,
+    require_map,
+    require_robot,
+    require_same_content,
+    require_session,
+)
+from revisit.service.ports.transactions import UnitOfWork
+
+
+@dataclass(frozen=True)
+class CreateSession:
+    """A new session in a map; `robot_id` is None or an existing robot.
+
+    `storey` is the level of the building that all of it is driven on, as B2; None where that is unknown.
+    """
+
+    map_id: str
+    session_id: str
+    robot_id: str | None = None
+    storey: str | None = None
+
+
+@dataclass(frozen=True)
+class SessionView:
+    """A session as clients see it.
+
+    `committed_seq` is the last scan stored durably, 0 for none; `committed_stamp_ns` is when that one was taken.
+    `storey` is None where nobody said it.
+    `findings` are those of its submaps so far, the most frequent first, then those that the version of the map in force
+    has of its odometry. `no_loops` says why a finished session has no loop. Neither is in lists of sessions.
+    """
+
+    key: SessionKey
+    robot_id: str | None
+    state: SessionState
+    committed_seq: int
+    travelled_m: float
+    submap_count: int
+    created_at_ns: int
+    finished_at_ns: int | None
+    committed_stamp_ns: int | None
+    storey: str | None = None
+    findings: tuple[SessionFinding, ...] = ()
+    no_loops: NoLoops | None = None
+
+
+@dataclass(frozen=True)
+class CreatedSession:
+    """The session, and whether an earlier identical request had created it."""
+
+    session: SessionView
+    replay: bool
+
+
+class Sessions:
+    """Create, get, list, finish and delete sessions."""
+
+    def __init__(
+        self,
+        storage: Storage,
+        lists: Lists,
+        admission: Admission,
+        jobs: JobPosting,
+        collector: BlobCollector,
+        erasure: Erasure,
+        streams: OpenStreams,
+        clock: Clock,
+        policy: Policy,
+    ) -> None:
+        """The last submap of a finished session is queued through `jobs`.
+
+        A deleted one goes through `erasure`, and its `streams` end.
+        """
+        self._storage = storage
+        self._lists = lists
+        self._admission = admission
+        self._jobs = jobs
+        self._collector = collector
+        self._erasure = erasure
+        self._streams = streams
+        self._clock = clock
+        self._policy = policy
+
+    async def create(self, tenant: TenantId, command: CreateSession) -> CreatedSession:
+        """Create a session.
+
+        Raises BadField; NotFound for map or robot; AlreadyExists for other content; StillDeleting where a session of
+        this id was deleted and is not gone yet; Draining, RateLimited.
+        """
+        self._admission.charge_creation(tenant)
+        record = self._record(tenant, command)
+        return await self._storage.write(partial(_add, record=record))
+
+    async def get(self, tenant: TenantId, key: SessionKey) -> SessionView:
+        """Raises NotFound."""
+        return await self._storage.read(lambda uow: self._whole(uow, require_session(uow, tenant, key)))
+
+    async def list(self, tenant: TenantId, map_id: str, page: PageRequest) -> Page[SessionView]:
+        """The sessions of a map, oldest first. Raises NotFound for the map."""
+        return await self._lists.page(tenant, page, partial(_of_map, tenant=tenant, map_id=map_id), _view)
+
+    async def finish(self, tenant: TenantId, key: SessionKey) -> SessionView:
+        """Close the session; the scans of its last, shorter window become a submap. Again: no effect.
+
+        Raises NotFound, WorkersBusy, Draining.
+        """
+        self._admission.require_running()
+        closed = await self._storage.write(partial(self._finish, tenant=tenant, key=key))
+        failpoint("session.after_finish")
+        return closed
+
+    def _finish(self, uow: UnitOfWork, tenant: TenantId, key: SessionKey) -> SessionView:
+        session, now_ns = require_session(uow, tenant, key), self._clock.wall_ns()
+        if session.state == SessionState.FINISHED:
+            return self._whole(uow, session)
+        rest = remainder(session)
+        if rest is not None:
+            _, session = add_window_submap(uow, self._jobs, session, rest, now_ns)
+        finished = replace(session, state=SessionState.FINISHED.value, finished_at_ns=now_ns)
+        uow.sessions.replace(finished)
+        return self._whole(uow, finished)
+
+    async def delete(self, tenant: TenantId, key: SessionKey) -> None:
+        """Delete a session with its scans, its submaps and their loop closures; its streams end, its jobs are dropped.
+
+        Nobody sees anything of it from the commit on. Its id is free again once its rows are gone, which a large
+        session takes longer for than this call (`erasure.AWAITED_S`). Raises NotFound, Draining.
+        """
+        self._admission.require_running()
+        entry = audit.noted(tenant, "session_deleted", key.name)
+        doomed = await self._storage.write(partial(_delete, key=key, entry=entry, at_ns=self._clock.wall_ns()))
+        failpoint("delete.after_mark")
+        self._streams.end(tenant, key.map_id, key.session_id)
+        await self._collector.collect(tenant, doomed)
+        await self._erasure.soon(tenant, key.map_id, key.session_id)
+
+    def _whole(self, uow: UnitOfWork, record: SessionRecord) -> SessionView:
+        """The view with its findings, for which all submaps of the session are looked at, and why it has no loop."""
+        counts = uow.submaps.flag_counts(record.tenant, record.map_id, record.session_id)
+        known = ((code.lower(), count) for code, count in counts.items() if code.lower() in LIKELY_CAUSES)
+        ordered = sorted(known, key=lambda found: (-found[1], found[0]))
+        of_submaps = (SessionFinding(code, count, *LIKELY_CAUSES[code]) for code, count in ordered)
+        config = self._policy.for_map(require_map(uow, record.tenant, record.map_id))
+        why = why_no_loops(uow, record, config.loop)
+        return replace(_view(uow, record), findings=(*of_submaps, *odometry_findings(uow, record)), no_loops=why)
+
+    def _record(self, tenant: TenantId, command: CreateSession) -> SessionRecord:
+        storey = validated_storey(command.storey)
+        return SessionRecord(
+            tenant=tenant,
+            map_id=command.map_id,
+            session_id=validated_id(command.session_id, "session_id"),
+            # Sessions of before there were storeys have the hash of their robot alone.
+            content_hash=content_hash([command.robot_id, *([] if storey is None else [storey])]),
+            robot_id=command.robot_id,
+            state=SessionState.ACTIVE.value,
+            committed_seq=0,
+            next_ordinal=0,
+            travelled_m=0.0,
+            window_start_m=0.0,
+            window_first_seq=1,
+            emitted_to_m=None,
+            created_at_ns=self._clock.wall_ns(),
+            finished_at_ns=None,
+            storey=storey,
+        )
+
+
+def _add(uow: UnitOfWork, record: SessionRecord) -> CreatedSession:
+    require_map(uow, record.tenant, record.map_id)
+    known = uow.sessions.get(record.tenant, record.map_id, record.session_id)
+    if known is None:
+        require_deleted(uow, record.tenant, record.map_id, record.session_id)
+        if record.robot_id is not None:
+            require_robot(uow, record.tenant, record.robot_id)
+        return CreatedSession(_view(uow, uow.sessions.add(record)), replay=False)
+    require_same_content(known.content_hash, record.content_hash, f"session {record.session_id}")
+    return CreatedSession(_view(uow, known), replay=True)
+
+
+def _of_map(uow: UnitOfWork, after: int, limit: int, *, tenant: TenantId, map_id: str) -> list[SessionRecord]:
+    require_map(uow, tenant, map_id)
+    return uow.sessions.find(tenant, after=after, limit=limit, map_id=map_id)
+
+
+def _delete(uow: UnitOfWork, key: SessionKey, entry: AuditEntry, at_ns: int) -> set[Blob]:
+    tenant = TenantId(entry.tenant)
+    session = require_session(uow, tenant, key)
+    audit.append(uow, at_ns, entry)
+    return mark_session(uow, require_map(uow, tenant, key.map_id), session, at_ns)
+
+
+def _view(uow: UnitOfWork, record: SessionRecord) -> SessionView:
+    last = uow.scans.get(record.tenant, record.map_id, record.session_id, record.committed_seq)
+    return SessionView(
+        key=SessionKey(record.map_id, record.session_id),
+        robot_id=record.robot_id,
+        state=SessionState(record.state),
+        committed_seq=record.committed_seq,
+        travelled_m=record.travelled_m,
+        submap_count=uow.submaps.count(record.tenant, map_id=record.map_id, session_id=record.session_id),
+        created_at_ns=record.created_at_ns,
+        finished_at_ns=record.finished_at_ns,
+        committed_stamp_ns=None if last is None else last.stamp_ns,
+        storey=record.storey,
+    )

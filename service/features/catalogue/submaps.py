@@ -1,0 +1,156 @@
+"""Submaps: get, list, delete and download them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Protocol
+
+import numpy as np
+
+from revisit.service.capacity.admission import Admission
+from revisit.service.domain.identity import SessionKey, SubmapKey, TenantId
+from revisit.service.domain.policy import Policy
+from revisit.service.domain.records import SubmapRecord
+from revisit.service.domain.states import SubmapState
+from revisit.service.failpoints import failpoint
+from revisit.service.features.audit import calls as audit
+from revisit.service.features.audit.calls import AuditEntry
+from revisit.service.features.catalogue.downloads import (
+    RENDERING_BYTES,
+    Download,
+    DownloadKind,
+    Rendering,
+    Room,
+    any_room,
+    extension_of,
+    named,
+    require_neural_map,
+    stored_file,
+)
+from revisit.service.features.deletion.blob_references import Blob, BlobCollector
+from revisit.service.features.deletion.rows import delete_submap
+from revisit.service.features.graph.map_frames import MapFrames, submap_in_map
+from revisit.service.features.ingest.rows import SubmapSource, submap_source
+from revisit.service.features.resources.paging import Lists, Page, PageRequest
+from revisit.service.features.resources.views import SubmapView, submap_view
+from revisit.service.ports.clock import Clock
+from revisit.service.ports.storage import (
+    Storage,
+    require_descriptor,
+    require_map,
+    require_session,
+    require_submap,
+)
+from revisit.service.ports.transactions import UnitOfWork
+
+
+class Meshes(Protocol):
+    """Meshes of submaps, made when they are asked for."""
+
+    async def file(self, tenant: TenantId, key: SubmapKey, extension: str, room: Room) -> bytes:
+        """The mesh of a submap as a file, once `room` has room for it. Raises NoAnswer, and what its maker met."""
+        ...
+
+
+class Submaps:
+    """Get, list, delete and download submaps."""
+
+    def __init__(
+        self,
+        storage: Storage,
+        lists: Lists,
+        admission: Admission,
+        collector: BlobCollector,
+        rendering: Rendering,
+        clock: Clock,
+        policy: Policy,
+        meshes: Meshes,
+    ) -> None:
+        """`collector` deletes the blobs of what was deleted; files are made by `rendering`."""
+        self._storage = storage
+        self._lists = lists
+        self._admission = admission
+        self._collector = collector
+        self._clock = clock
+        self._policy = policy
+        self._meshes = meshes
+        self._rendering = rendering
+
+    async def get(self, tenant: TenantId, key: SubmapKey, *, full: bool = False) -> SubmapView:
+        """The submap, with its descriptor where `full`. Raises NotFound; DataLoss where that is damaged."""
+        record, view = await self._storage.read(partial(_seen, tenant=tenant, key=key))
+        if not full or record.state != SubmapState.DESCRIBED:
+            return view
+        return replace(view, descriptor=np.frombuffer(require_descriptor(record), dtype="<f4").astype(np.float32))
+
+    async def list(self, tenant: TenantId, session: SessionKey, page: PageRequest) -> Page[SubmapView]:
+        """The submaps of a session in their order. Raises NotFound for the session."""
+        find = partial(_of_session, tenant=tenant, session=session)
+        return await self._lists.page(tenant, page, find, lambda _, row: row.view)
+
+    async def delete(self, tenant: TenantId, key: SubmapKey) -> None:
+        """Delete a submap, its loop closures and its entry in the index. Raises NotFound, Draining."""
+        self._admission.require_running()
+        entry = audit.noted(tenant, "submap_deleted", key.name)
+        doomed = await self._storage.write(partial(_delete, key=key, entry=entry, at_ns=self._clock.wall_ns()))
+        failpoint("delete.after_rows")
+        await self._collector.collect(tenant, doomed)
+
+    async def download(
+        self,
+        tenant: TenantId,
+        key: SubmapKey,
+        kind: DownloadKind,
+        file_format: str | None = None,
+        room: Room = any_room,
+    ) -> Download:
+        """The submap as a file. Formats: mesh ply or glb; points pcd, ply or npy; neural and descriptor have their own.
+
+        Points are put together when `room` has room for them; a mesh is made by a worker, which is waited for. Raises
+        NotFound; NotReady where it is not described yet; UnsupportedEncoding for another format; DataLoss; RateLimited;
+        for a mesh also NoAnswer, WorkersBusy, StorageFull.
+        """
+        record, source = await self._storage.read(partial(self._with_source, tenant=tenant, key=key))
+        extension = extension_of(kind, file_format)
+        if kind is DownloadKind.MESH:
+            require_neural_map(record)
+            return named(await self._meshes.file(tenant, key, extension, room), record, kind, extension)
+        await room(RENDERING_BYTES)
+
+        def make() -> Download:
+            return named(stored_file(self._storage.blobs, record, source, kind, extension), record, kind, extension)
+
+        return await self._rendering.of(tenant, make)
+
+    def _with_source(self, uow: UnitOfWork, tenant: TenantId, key: SubmapKey) -> tuple[SubmapRecord, SubmapSource]:
+        record = require_submap(uow, tenant, key)
+        return record, submap_source(uow, self._policy, record)
+
+
+def _seen(uow: UnitOfWork, tenant: TenantId, key: SubmapKey) -> tuple[SubmapRecord, SubmapView]:
+    record = require_submap(uow, tenant, key)
+    return record, submap_view(record, submap_in_map(uow, record))
+
+
+@dataclass(frozen=True)
+class _Row:
+    """A row of the list: a submap's number, and the view of it."""
+
+    number: int
+    view: SubmapView
+
+
+def _of_session(uow: UnitOfWork, after: int, limit: int, *, tenant: TenantId, session: SessionKey) -> list[_Row]:
+    require_session(uow, tenant, session)
+    of_session = {"map_id": session.map_id, "session_id": session.session_id}
+    records = uow.submaps.find(tenant, after=after, limit=limit, **of_session)
+    frames = MapFrames(uow, tenant, session.map_id)
+    return [_Row(record.number, submap_view(record, frames.submap(record))) for record in records]
+
+
+def _delete(uow: UnitOfWork, key: SubmapKey, entry: AuditEntry, at_ns: int) -> set[Blob]:
+    tenant = TenantId(entry.tenant)
+    record = require_submap(uow, tenant, key)
+    audit.append(uow, at_ns, entry)
+    return delete_submap(uow, require_map(uow, tenant, key.map_id), record, at_ns)

@@ -1,0 +1,1 @@
+"""Corrections of a session's odometry, ahead of the next version of a map."""

@@ -1,0 +1,115 @@
+"""Corrections: where the odometry frame of a session lies in the map, now and as the map changes."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncIterator
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from revisit.core.geometry.se3 import Matrix4, pose_matrix
+from revisit.service.capacity.admission import Admission
+from revisit.service.domain.errors import NotReady
+from revisit.service.domain.identity import SessionKey, TenantId
+from revisit.service.domain.records import EarlyCorrectionRecord, SessionPosesRecord
+from revisit.service.features.graph.session_poses import PackedSubmaps
+from revisit.service.features.waiting.event_tail import AGAIN_S, EventTail
+from revisit.service.ports.storage import Storage, require_map, require_session
+from revisit.service.ports.transactions import UnitOfWork
+
+SOON_S = 0.3
+"""A loop is in the log of events before what it corrects is stored: a watch looks again after so long."""
+
+
+@dataclass(frozen=True)
+class CorrectionView:
+    """T_map_odom (4, 4) of a session by a version of its map, as of its last submap there.
+
+    Covariance (6, 6) of that submap's pose in the map: of (x, y, z, rx, ry, rz) in the submap's frame.
+    `early_loops` is not 0 where single loops have moved the session since: then T_map_odom is as of its last submap of
+    all, until a version says more.
+    """
+
+    session: SessionKey
+    T_map_odom: Matrix4
+    frame: str
+    map_version: int
+    covariance: NDArray[np.float32]
+    created_at_ns: int
+    early_loops: int = 0
+
+
+class Corrections:
+    """Get and watch the corrections of sessions."""
+
+    def __init__(self, storage: Storage, admission: Admission, glance: EventTail) -> None:
+        """Watching ends when `admission` says that the service stops; `glance` sees that there is news."""
+        self._storage = storage
+        self._admission = admission
+        self._glance = glance
+
+    async def get(self, tenant: TenantId, key: SessionKey) -> CorrectionView:
+        """By the version in force. Raises NotFound; NotReady where that does not have the session."""
+        return await self._storage.read(partial(_correction, tenant=tenant, key=key))
+
+    async def watch(
+        self, tenant: TenantId, map_id: str, after: int = 0, session_id: str | None = None
+    ) -> AsyncIterator[CorrectionView]:
+        """The corrections by the version in force where it is above `after`, then by each that follows.
+
+        Those ahead of a version come as they are made. Of those that follow fast, the newest counts. Ends when the
+        service stops. Raises NotFound for the map and the session.
+        """
+        early, happened = dict[str, int](), False
+        while not self._admission.stopping:
+            looked_at = self._glance.last
+            known = partial(_newer, tenant=tenant, map_id=map_id, after=after, session_id=session_id, early=early)
+            after, corrections = await self._storage.read(known)
+            for correction in corrections:
+                early[correction.session.session_id] = correction.early_loops
+                yield correction
+            at_most_s = SOON_S if happened else AGAIN_S
+            happened = await self._glance.beyond(tenant, map_id, looked_at, at_most_s)
+
+
+def _correction(uow: UnitOfWork, tenant: TenantId, key: SessionKey) -> CorrectionView:
+    require_session(uow, tenant, key)
+    version = require_map(uow, tenant, key.map_id).map_version
+    row = uow.session_poses.get(tenant, key.map_id, version, key.session_id)
+    if row is None:
+        raise NotReady(f"no version of map {key.map_id} has session {key.session_id} yet")
+    return _view(row, uow.early_corrections.get(tenant, key.map_id, key.session_id))
+
+
+def _newer(
+    uow: UnitOfWork, tenant: TenantId, map_id: str, after: int, session_id: str | None, early: dict[str, int]
+) -> tuple[int, list[CorrectionView]]:
+    """The version in force, and what it says that was not told: of a version above `after` everything."""
+    version = require_map(uow, tenant, map_id).map_version
+    if session_id is not None:
+        require_session(uow, tenant, SessionKey(map_id, session_id))
+    of_session: dict[str, Any] = {} if session_id is None else {"session_id": session_id}
+    ahead = {row.session_id: row for row in uow.early_corrections.find(tenant, map_id=map_id, **of_session)}
+    loops = {name: row.loops for name, row in ahead.items() if row.version == version}
+    if version <= after and loops == {name: known for name, known in early.items() if known}:
+        return after, []
+    rows = uow.session_poses.find(tenant, map_id=map_id, version=version, **of_session)
+    views = [_view(row, ahead.get(row.session_id)) for row in sorted(rows, key=lambda row: row.session_number)]
+    told = [view for view in views if version > after or view.early_loops != early.get(view.session.session_id, 0)]
+    return max(version, after), told
+
+
+def _view(row: SessionPosesRecord, ahead: EarlyCorrectionRecord | None) -> CorrectionView:
+    early = ahead if ahead is not None and ahead.version == row.version else None
+    return CorrectionView(
+        session=SessionKey(row.map_id, row.session_id),
+        T_map_odom=pose_matrix(row.T_map_odom if early is None else early.T_map_odom),
+        frame=row.frame,
+        map_version=row.version,
+        covariance=PackedSubmaps.of(row.submaps).covariances[-1],
+        created_at_ns=row.created_at_ns if early is None else early.created_at_ns,
+        early_loops=0 if early is None else early.loops,
+    )

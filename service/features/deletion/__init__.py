@@ -1,0 +1,1 @@
+"""Deletion in portions, and blobs that no row names."""

@@ -1,0 +1,205 @@
+"""What was marked as deleted goes, a portion in each transaction, and other writers get their turn in between.
+
+A portion is small enough that nobody waits long for it, and after each nothing is written for as long as it took. A
+crash leaves the mark: the rows that are left are nobody's to see, and go after the next start.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import TypeVar
+
+import structlog
+
+from revisit.core.errors import RevisitError
+from revisit.service.domain.identity import TenantId
+from revisit.service.domain.records import DeletionRecord
+from revisit.service.failpoints import failpoint
+from revisit.service.features.deletion.blob_references import (
+    Blob,
+    BlobCollector,
+    blob_of_file,
+    blob_of_scan,
+    blob_of_tile,
+    blobs_of_submap,
+)
+from revisit.service.features.deletion.rows import drop_jobs
+from revisit.service.features.resources.paging import Numbered
+from revisit.service.ports.clock import Clock
+from revisit.service.ports.repositories import Repository
+from revisit.service.ports.storage import Storage
+from revisit.service.ports.transactions import UnitOfWork
+
+ROWS = 400
+"""Rows that one transaction deletes at most."""
+
+SUBMAPS = 100
+"""Submaps of one: each has a descriptor, and jobs and loop closures of its own."""
+
+VERSIONS = 2
+"""Rows of one that hold the poses of a session, or the verdicts of a map: megabytes each."""
+
+AWAITED_S = 5.0
+"""How long whoever deletes waits for the end. What takes longer goes on without them."""
+
+R = TypeVar("R", bound=Numbered)
+
+log = structlog.get_logger(__name__)
+
+Step = Callable[[UnitOfWork, DeletionRecord, int], "set[Blob] | None"]
+"""Deletes a portion, in a unit of work that sees everything; the blobs that its rows named, None where there is nothing
+left of this kind.
+"""
+
+
+class Erasure:
+    """Deletes the rows and blobs of what is marked, one portion after another, whatever they are of."""
+
+    def __init__(self, storage: Storage, collector: BlobCollector, clock: Clock) -> None:
+        """`collector` deletes blobs that nothing names any more."""
+        self._storage = storage
+        self._collector = collector
+        self._clock = clock
+        self._turn = asyncio.Lock()
+        self._under_way: dict[int, asyncio.Task[None]] = {}
+
+    async def all(self) -> None:
+        """Erase everything that is marked: what an earlier run, or somebody who did not wait, has left."""
+        marked = await self._storage.read(lambda uow: uow.deletions.of_all_tenants())
+        for deletion in marked:
+            await asyncio.wait({self._begun(deletion)})
+
+    async def soon(self, tenant: TenantId, map_id: str, *session_ids: str) -> None:
+        """Erase sessions of a map that were marked, or without any the map: returns at the end, or after a while."""
+        marked = await self._storage.read(partial(_marked, tenant=tenant, map_id=map_id, ids=session_ids or ("",)))
+        if marked:
+            await asyncio.wait({self._begun(deletion) for deletion in marked}, timeout=AWAITED_S)
+
+    async def close(self) -> None:
+        """Stop where it stands."""
+        tasks = list(self._under_way.values())
+        for task in tasks:
+            task.cancel()
+        await asyncio.gather(*tasks, return_exceptions=True)
+
+    def _begun(self, deletion: DeletionRecord) -> asyncio.Task[None]:
+        """The task that erases it, which may have begun before."""
+        task = self._under_way.get(deletion.number)
+        if task is None:
+            task = asyncio.create_task(self._erase(deletion), name="erasure")
+            self._under_way[deletion.number] = task
+            task.add_done_callback(lambda _: self._under_way.pop(deletion.number))
+        return task
+
+    async def _erase(self, deletion: DeletionRecord) -> None:
+        began_s, portions = time.perf_counter(), 0
+        try:
+            for step in _STEPS:
+                while await self._portion(step, deletion):
+                    portions += 1
+        except RevisitError as error:  # the next round of the chore goes on
+            log.warning("erasure_interrupted", map=deletion.map_id, reason=error.message)
+            return
+        except Exception:  # a defect must not be silent because nobody waits for the task
+            log.exception("erasure_crashed", map=deletion.map_id)
+            return
+        took_s = round(time.perf_counter() - began_s, 3)
+        named = {"map": deletion.map_id, "session": deletion.session_id}
+        log.info("erased", tenant=deletion.tenant, **named, portions=portions, took_s=took_s)
+
+    async def _portion(self, step: Step, deletion: DeletionRecord) -> bool:
+        """Delete the next rows and their blobs; whether there were any."""
+        async with self._turn:
+            began_s = time.perf_counter()
+            now_ns = self._clock.wall_ns()
+            doomed = await self._storage.write(lambda uow: step(uow.everything, deletion, now_ns))
+            took_s = time.perf_counter() - began_s
+            failpoint("delete.after_rows")
+            if doomed is not None:
+                await self._collector.collect(deletion.tenant, doomed)
+                await asyncio.sleep(took_s)
+        return doomed is not None
+
+
+def _marked(uow: UnitOfWork, tenant: TenantId, map_id: str, ids: Sequence[str]) -> list[DeletionRecord]:
+    found = (uow.deletions.get(tenant, map_id, session_id) for session_id in ids)
+    return [deletion for deletion in found if deletion is not None]
+
+
+def _submaps(uow: UnitOfWork, deletion: DeletionRecord, now_ns: int) -> set[Blob] | None:
+    """Submaps with their loop closures, which go first; their jobs end."""
+    tenant = deletion.tenant
+    submaps = uow.submaps.some(tenant, SUBMAPS, **_of(deletion))
+    if not submaps:
+        return None
+    numbers = [submap.number for submap in submaps]
+    for rows in (uow.loops, uow.loop_events):
+        for end in ("query_number", "match_number"):
+            if rows.delete_some(tenant, ROWS, end, numbers) == ROWS:
+                return set()
+    drop_jobs(uow, submaps, now_ns)
+    uow.submaps.delete_some(tenant, SUBMAPS, "number", numbers)
+    return {blob for submap in submaps for blob in blobs_of_submap(submap)}
+
+
+def _scans(uow: UnitOfWork, deletion: DeletionRecord, _: int) -> set[Blob] | None:
+    scans = _without(uow.scans, deletion, ROWS)
+    return None if not scans else {blob_of_scan(scan) for scan in scans}
+
+
+def _poses(uow: UnitOfWork, deletion: DeletionRecord, _: int) -> set[Blob] | None:
+    return set() if _without(uow.session_poses, deletion, VERSIONS) else None
+
+
+def _tiles(uow: UnitOfWork, deletion: DeletionRecord, _: int) -> set[Blob] | None:
+    tiles = [] if deletion.session_id else _without(uow.map_tiles, deletion, ROWS)
+    return None if not tiles else {blob_of_tile(tile) for tile in tiles}
+
+
+def _files(uow: UnitOfWork, deletion: DeletionRecord, _: int) -> set[Blob] | None:
+    files = [] if deletion.session_id else _without(uow.map_files, deletion, ROWS)
+    return None if not files else {blob_of_file(file) for file in files}
+
+
+def _versions(uow: UnitOfWork, deletion: DeletionRecord, _: int) -> set[Blob] | None:
+    gone = [] if deletion.session_id else _without(uow.map_versions, deletion, VERSIONS)
+    return set() if gone else None
+
+
+def _sessions(uow: UnitOfWork, deletion: DeletionRecord, _: int) -> set[Blob] | None:
+    """Sessions themselves, of which nothing is left; with those of a map what was ahead of its versions."""
+    uow.early_corrections.delete(deletion.tenant, **_of(deletion))
+    return set() if _without(uow.sessions, deletion, ROWS) else None
+
+
+def _mark(uow: UnitOfWork, deletion: DeletionRecord, _: int) -> set[Blob] | None:
+    """The map itself, if it goes, and the mark: from now on the id is free again."""
+    tenant, of_map = deletion.tenant, {"map_id": deletion.map_id}
+    if deletion.session_id:
+        uow.deletions.delete(tenant, number=deletion.number)
+        return None
+    for rows in (uow.map_merges, uow.maps, uow.deletions):
+        rows.delete(tenant, **of_map)
+    return None
+
+
+_STEPS: tuple[Step, ...] = (_submaps, _scans, _poses, _tiles, _files, _versions, _sessions, _mark)
+"""In an order in which no row is left without what it belongs to."""
+
+
+def _of(deletion: DeletionRecord) -> dict[str, str]:
+    """What tells the rows of a deletion."""
+    of_session = {"session_id": deletion.session_id} if deletion.session_id else {}
+    return {"map_id": deletion.map_id, **of_session}
+
+
+def _without(rows: Repository[R], deletion: DeletionRecord, limit: int) -> list[R]:
+    """Delete a portion of the rows of a deletion; what they were."""
+    some = rows.some(deletion.tenant, limit, **_of(deletion))
+    numbers = [row.number for row in some]
+    if numbers:
+        rows.delete_some(deletion.tenant, limit, "number", numbers)
+    return some

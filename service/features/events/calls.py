@@ -1,0 +1,136 @@
+"""Watching a map: its events, those to come too."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator, Iterable
+from dataclasses import dataclass, field
+from functools import partial
+
+from revisit.service.capacity.admission import Admission
+from revisit.service.capacity.in_flight import Turns
+from revisit.service.domain.errors import NotFound
+from revisit.service.domain.events import EventRecord
+from revisit.service.domain.identity import TenantId
+from revisit.service.domain.states import EventKind
+from revisit.service.features.loops.calls import LoopClosureView, loop_view
+from revisit.service.features.optimisation.calls import MapVersionView, version_seen
+from revisit.service.features.resources.views import OperationView, operation_view
+from revisit.service.features.waiting.event_tail import AGAIN_S, EventTail
+from revisit.service.ports.storage import Storage, require_map
+from revisit.service.ports.transactions import UnitOfWork
+
+HEARTBEAT_S = 15.0
+"""A watch of which there is nothing to tell says so after this long."""
+
+BATCH = 100
+"""Events that are read from the store at a time."""
+
+BATCHES_AT_A_TIME = 1
+"""Batches that are read at the same time; tenants take turns."""
+
+
+@dataclass(frozen=True)
+class EventView:
+    """An event as clients see it: its resource as it stands when the event is told.
+
+    OPENED is the first of every watch, with the number that it begins behind. FORGOTTEN says that events before it are
+    no longer there: the lists tell what became of their resources.
+    """
+
+    number: int
+    kind: EventKind
+    map_id: str
+    loop: LoopClosureView | None = None
+    operation: OperationView | None = None
+    map_version: MapVersionView | None = None
+
+
+@dataclass(frozen=True)
+class Told:
+    """Events of a batch, and the number of the last row that was looked at for them."""
+
+    events: list[EventView]
+    seen: int
+
+
+@dataclass(frozen=True)
+class Events:
+    """Watches the events of maps."""
+
+    storage: Storage
+    admission: Admission
+    glance: EventTail
+    turns: Turns = field(default_factory=lambda: Turns(BATCHES_AT_A_TIME))
+    heartbeat_s: float = field(default=HEARTBEAT_S)
+
+    async def watch(
+        self, tenant: TenantId, map_id: str, after: int | None = None, kinds: frozenset[EventKind] = frozenset()
+    ) -> AsyncIterator[EventView | None]:
+        """The events of a map with a number above `after`, those to come too; None where nothing happened for long.
+
+        Without `after` from now on; with 0, all that are kept. `kinds` keeps those of these kinds, all where empty. An
+        event that is followed by another of the same resource before it is told is left out. The first is OPENED. Ends
+        when the service stops. Raises NotFound for the map, also once it is deleted.
+        """
+        last = await self.storage.read(partial(_last, tenant=tenant, map_id=map_id))
+        seen = last if after is None else min(after, last)
+        yield EventView(seen, EventKind.OPENED, map_id)
+        if after is not None and after > last:
+            # Never given out: the client has seen events of a database that was replaced by an older one since.
+            yield EventView(seen, EventKind.FORGOTTEN, "")
+        silent_s = 0.0
+        while not self.admission.stopping:
+            if last > seen:
+                # Whoever has much to catch up on does not keep every reader of the database.
+                async with self.turns.of(tenant):
+                    told = await self.storage.read(partial(_told, tenant=tenant, map_id=map_id, seen=seen, last=last))
+                seen = told.seen
+                for event in told.events:
+                    if not kinds or event.kind in kinds | {EventKind.FORGOTTEN}:
+                        silent_s = 0.0
+                        yield event
+                continue
+            began_s = asyncio.get_running_loop().time()
+            await self.glance.beyond(tenant, map_id, seen, min(AGAIN_S, self.heartbeat_s - silent_s))
+            last = max(last, self.glance.last)
+            silent_s += asyncio.get_running_loop().time() - began_s
+            if silent_s >= self.heartbeat_s:
+                silent_s = 0.0
+                yield None
+
+
+def _last(uow: UnitOfWork, tenant: TenantId, map_id: str) -> int:
+    require_map(uow, tenant, map_id)
+    return uow.events.last_number()
+
+
+def _told(uow: UnitOfWork, tenant: TenantId, map_id: str, seen: int, last: int) -> Told:
+    require_map(uow, tenant, map_id)
+    rows = uow.events.following(tenant, seen, BATCH, map_id)
+    return Told(events_of(uow, rows), last if len(rows) < BATCH else rows[-1].number)
+
+
+def events_of(uow: UnitOfWork, rows: Iterable[EventRecord]) -> list[EventView]:
+    """What rows tell, in their order: of several of one resource the last, of one that is gone nothing."""
+    newest = {(row.kind, row.subject): row for row in rows}
+    events = [_event_of(uow, row) for row in sorted(newest.values(), key=lambda row: row.number)]
+    return [event for event in events if event is not None]
+
+
+def _event_of(uow: UnitOfWork, row: EventRecord) -> EventView | None:
+    """The event of a row, None where its resource is gone."""
+    kind = EventKind(row.kind)
+    if kind is EventKind.LOOP_CLOSURE:
+        loop = uow.loops.get(row.tenant, row.map_id, row.subject)
+        return None if loop is None else EventView(row.number, kind, row.map_id, loop=loop_view(loop))
+    if kind is EventKind.OPERATION:
+        job = uow.jobs.get(row.tenant, row.subject)
+        return None if job is None else EventView(row.number, kind, row.map_id, operation=operation_view(job))
+    if kind is EventKind.MAP_VERSION:
+        try:
+            version = version_seen(uow, row.tenant, row.map_id, int(row.subject))
+        except NotFound:
+            return None
+        return EventView(row.number, kind, row.map_id, map_version=version)
+    return EventView(row.number, kind, row.map_id)

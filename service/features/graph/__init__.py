@@ -1,0 +1,1 @@
+"""The stored pose graph of a map: tracks, frames, edits, and when it is optimised."""

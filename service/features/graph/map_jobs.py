@@ -1,0 +1,66 @@
+"""The jobs about a whole map that the service queues by itself: of each kind one that waits at most, so that no backlog
+bounds them."""
+
+from __future__ import annotations
+
+import secrets
+
+from revisit.service.capacity.backlog import same_job
+from revisit.service.domain.identity import TenantId
+from revisit.service.domain.policy import Policy
+from revisit.service.domain.records import JobRecord
+from revisit.service.domain.states import LoopState, OperationKind, OperationState
+from revisit.service.ports.clock import Instant
+from revisit.service.ports.tracing import current_request
+from revisit.service.ports.transactions import UnitOfWork
+
+_LAST = 2
+
+
+def post_map_job(
+    uow: UnitOfWork,
+    tenant: TenantId,
+    map_id: str,
+    kind: OperationKind,
+    policy: Policy,
+    now_ns: int,
+    due: Instant | None = None,
+    priority: int = 1,
+) -> JobRecord:
+    """Queue a job about a map, not to be run before `due`."""
+    request = current_request()
+    return uow.queue.enqueue(
+        JobRecord(
+            tenant=tenant,
+            operation_id=f"op-{secrets.token_hex(10)}",
+            kind=kind.value,
+            state=OperationState.QUEUED.value,
+            subject=f"maps/{map_id}",
+            payload={"map_id": map_id},
+            attempts=0,
+            max_attempts=policy.max_attempts,
+            created_at_ns=now_ns,
+            priority=priority,
+            lease_epoch="" if due is None else due.epoch,
+            not_before_ms=0 if due is None else due.ms,
+            request_id=request.request_id,
+            traceparent=request.span.traceparent,
+        )
+    )
+
+
+def waiting_map_job(uow: UnitOfWork, tenant: TenantId, map_id: str, kind: OperationKind) -> JobRecord | None:
+    """The job of this kind about a map that no worker has taken yet."""
+    return same_job(uow, tenant, kind, f"maps/{map_id}", {"map_id": map_id})
+
+
+def recall_loops(uow: UnitOfWork, tenant: TenantId, map_id: str, policy: Policy, now_ns: int) -> None:
+    """Let the rejected loops of a map that has a new version be tested again (docs/decisions/0090).
+
+    Where the service optimises maps by itself; where a person asks for each version, loops stay as they are. All other
+    work of the tenant goes before it: a robot waits for a loop, and nobody for this.
+    """
+    if not policy.optimise_after_loops or waiting_map_job(uow, tenant, map_id, OperationKind.RECALL_LOOPS) is not None:
+        return
+    if uow.loops.find(tenant, limit=1, map_id=map_id, state=LoopState.REJECTED.value, manual=False):
+        post_map_job(uow, tenant, map_id, OperationKind.RECALL_LOOPS, policy, now_ns, priority=_LAST)

@@ -1,0 +1,97 @@
+"""The pose graph of a map as the database holds it: the drives of its sessions and the accepted loops between them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import groupby
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from revisit.core.geometry.se3 import pose_matrix
+from revisit.service.domain.identity import TenantId
+from revisit.service.domain.policy import Policy
+from revisit.service.domain.records import LoopRecord, MapRecord, SessionPosesRecord
+from revisit.service.domain.states import LoopState
+from revisit.service.ports.map_optimiser import MapGraph, SessionTrack, TrackLoop
+from revisit.service.ports.transactions import UnitOfWork
+
+_PAGE = 500
+
+_NO_EVIDENCE: dict[str, Any] = {}
+
+
+@dataclass(frozen=True)
+class MapTask:
+    """A map to optimise: its pose graph, its loops in the order of the graph's, and its poses by the version in force.
+
+    `session_ids` are those of the tracks. The loops have no evidence: that is five sixths of what they take.
+    """
+
+    map: MapRecord
+    graph: MapGraph
+    session_ids: tuple[str, ...]
+    loops: tuple[LoopRecord, ...]
+    before: tuple[SessionPosesRecord, ...]
+
+
+def read_task(uow: UnitOfWork, policy: Policy, tenant: TenantId, map_id: str) -> MapTask | None:
+    """The map as it is now, None where it is gone."""
+    record = uow.maps.get(tenant, map_id)
+    if record is None:
+        return None
+    ids = {session.number: session.session_id for session in uow.sessions.find(tenant, map_id=map_id)}
+    tracks = _tracks(uow, tenant, map_id)
+    loops, of_graph = _accepted(uow, tenant, map_id)
+    graph = MapGraph(tracks, of_graph, policy.for_map(record).submap.tau)
+    before = uow.session_poses.find(tenant, map_id=map_id, version=record.map_version)
+    return MapTask(record, graph, tuple(ids[track.session_number] for track in tracks), loops, tuple(before))
+
+
+def _accepted(uow: UnitOfWork, tenant: TenantId, map_id: str) -> tuple[tuple[LoopRecord, ...], tuple[TrackLoop, ...]]:
+    """The accepted loops of a map, without their evidence, and as a pose graph has them.
+
+    Read page by page: the evidence of a whole map would take more memory than the solution.
+    """
+    records: list[LoopRecord] = []
+    of_graph: list[TrackLoop] = []
+    after: int | None = 0
+    while after is not None:
+        page = uow.loops.find(tenant, after=after, limit=_PAGE, map_id=map_id, state=LoopState.ACCEPTED.value)
+        known = [loop for loop in page if loop.T_match_query is not None]
+        records += [replace(loop, evidence=_NO_EVIDENCE) for loop in known]
+        of_graph += [track_loop(loop) for loop in known]
+        after = page[-1].number if len(page) == _PAGE else None
+    return tuple(records), tuple(of_graph)
+
+
+def with_evidence(uow: UnitOfWork, loops: Sequence[LoopRecord]) -> Iterator[LoopRecord]:
+    """The loops of a task with the evidence that they have now, read page by page. All of them must be there still."""
+    for start in range(0, len(loops), _PAGE):
+        some = loops[start : start + _PAGE]
+        stored = uow.loops.numbered(some[0].tenant, [loop.number for loop in some])
+        yield from (replace(loop, evidence=stored[loop.number].evidence) for loop in some)
+
+
+def _tracks(uow: UnitOfWork, tenant: TenantId, map_id: str) -> tuple[SessionTrack, ...]:
+    tracks = []
+    for number, of_session in groupby(uow.submaps.placed(tenant, map_id), key=lambda one: one.session_number):
+        placed = list(of_session)
+        poses = np.stack([pose_matrix(one.T_odom_submap) for one in placed])
+        tracks.append(SessionTrack(number, tuple(one.number for one in placed), poses))
+    return tuple(tracks)
+
+
+def track_loop(record: LoopRecord) -> TrackLoop:
+    """An accepted loop as a pose graph has it."""
+    T_match_query = pose_matrix(record.T_match_query or ())
+    covariance = measured_covariance(record.evidence)
+    return TrackLoop(record.number, record.match_number, record.query_number, T_match_query, covariance)
+
+
+def measured_covariance(evidence: dict[str, Any]) -> NDArray[np.float64] | None:
+    """The covariance (6, 6) that verification measured, None where it has none that is finite."""
+    measured = np.asarray(evidence.get("measurement", {}).get("covariance", []), dtype=np.float64)
+    return measured.reshape(6, 6) if measured.size == 36 and np.isfinite(measured).all() else None

@@ -1,0 +1,99 @@
+"""The poses of a version of a map, and its verdicts on loops, packed into bytes: the same content, the same bytes."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Collection, Iterable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from revisit.core.geometry.se3 import Matrix4
+from revisit.service.domain.identity import TenantId
+from revisit.service.domain.records import MapVersionRecord
+from revisit.service.domain.states import GraphState
+from revisit.service.ports.map_optimiser import JudgedLoop
+from revisit.service.ports.transactions import UnitOfWork
+
+_SUBMAP = np.dtype([("number", "<i8"), ("T_map_submap", "<f8", (4, 4)), ("covariance", "<f4", (6, 6))])
+_LOOP = np.dtype([("number", "<i8"), ("state", "u1"), ("squared_distance", "<f8")])
+_STATES = (GraphState.IN_MAP, GraphState.SET_ASIDE, GraphState.UNCONNECTED)
+
+
+@dataclass(frozen=True)
+class PackedSubmaps:
+    """Submaps of a session in the order of the drive: numbers (n,), T_map_submap (n, 4, 4), covariances (n, 6, 6)."""
+
+    numbers: NDArray[np.int64]
+    T_map_submap: NDArray[np.float64]
+    covariances: NDArray[np.float32]
+
+    @classmethod
+    def of(cls, data: bytes) -> PackedSubmaps:
+        """What `packed` has packed; views of `data`, but for the numbers, which are sought."""
+        rows = np.frombuffer(data, _SUBMAP)
+        return cls(rows["number"].copy(), rows["T_map_submap"], rows["covariance"])
+
+    def packed(self) -> bytes:
+        """As bytes."""
+        rows = np.empty(len(self.numbers), _SUBMAP)
+        rows["number"], rows["T_map_submap"], rows["covariance"] = self.numbers, self.T_map_submap, self.covariances
+        return rows.tobytes()
+
+    def place_of(self, number: int) -> int | None:
+        """Where in the drive the submap of this number is, None where it is not there."""
+        found = np.flatnonzero(self.numbers == number)
+        return int(found[0]) if len(found) else None
+
+    def without(self, doomed: Collection[int]) -> PackedSubmaps:
+        """Without the submaps of these numbers."""
+        kept = ~np.isin(self.numbers, list(doomed))
+        return PackedSubmaps(self.numbers[kept], self.T_map_submap[kept], self.covariances[kept])
+
+
+def pack_loops(loops: Sequence[JudgedLoop]) -> bytes:
+    """The verdicts on loops as bytes."""
+    rows = np.empty(len(loops), _LOOP)
+    rows["number"] = [loop.number for loop in loops]
+    rows["state"] = [_STATES.index(loop.state) for loop in loops]
+    rows["squared_distance"] = [loop.squared_distance for loop in loops]
+    return rows.tobytes()
+
+
+def unpack_loops(data: bytes) -> list[JudgedLoop]:
+    """What `pack_loops` has packed."""
+    rows = np.frombuffer(data, _LOOP)
+    values = zip(rows["number"].tolist(), rows["state"].tolist(), rows["squared_distance"].tolist(), strict=True)
+    return [JudgedLoop(number, _STATES[state], distance) for number, state, distance in values]
+
+
+def hash_of_loops(data: bytes) -> str:
+    """SHA-256 (hex) of packed verdicts."""
+    return hashlib.sha256(data).hexdigest()
+
+
+def hash_of_session(session_number: int, frame: str, T_map_odom: Matrix4, submaps: bytes) -> str:
+    """SHA-256 (hex) of what a version says of a session."""
+    digest = hashlib.sha256(f"{session_number}:{frame}:{len(submaps)}:".encode())
+    digest.update(np.asarray(T_map_odom, dtype="<f8").tobytes())
+    digest.update(submaps)
+    return digest.hexdigest()
+
+
+def hash_of_version(record: MapVersionRecord, sessions: Iterable[str]) -> str:
+    """SHA-256 (hex) of a version: of its verdicts and of its sessions, whose hashes are given in any order."""
+    return hashlib.sha256("\n".join([record.loops_hash, *sorted(sessions)]).encode()).hexdigest()
+
+
+def forget_submap(uow: UnitOfWork, tenant: TenantId, map_id: str, session_id: str, number: int) -> None:
+    """Take a submap out of every version of the map."""
+    for row in uow.session_poses.find(tenant, map_id=map_id, session_id=session_id):
+        left = PackedSubmaps.of(row.submaps).without([number])
+        if not len(left.numbers):
+            uow.session_poses.delete(tenant, number=row.number)
+            continue
+        data = left.packed()
+        T_map_odom = np.asarray(row.T_map_odom).reshape(4, 4)
+        content_hash = hash_of_session(row.session_number, row.frame, T_map_odom, data)
+        uow.session_poses.replace(replace(row, submaps=data, content_hash=content_hash))

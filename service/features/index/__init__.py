@@ -1,0 +1,1 @@
+"""The place index of this process: searched, loaded, kept in files."""

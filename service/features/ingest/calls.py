@@ -1,0 +1,329 @@
+"""Scans: a stream of posed sweeps that the service cuts into submaps.
+
+A session's row holds the window of scans that the next submap is made of: the state of `core.submap.SubmapBuilder`. The
+builder keeps scans in memory; here they are rows, and a window is the range of their sequence numbers, so that an
+unfinished one survives a restart. A test holds the two against each other on random drives.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import hashlib
+from collections.abc import Callable
+from contextlib import AbstractContextManager
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+
+from revisit.core.config import SubmapConfig
+from revisit.core.errors import BadField
+from revisit.core.geometry.se3 import Matrix4, pose_matrix, pose_row
+from revisit.core.scan import CloudReport, Scan
+from revisit.core.submap import next_window_start
+from revisit.service.capacity.admission import Admission
+from revisit.service.capacity.backlog import JobPosting
+from revisit.service.capacity.in_flight import InFlight
+from revisit.service.domain import limits
+from revisit.service.domain.errors import AlreadyExists, NotFound, SequenceGap
+from revisit.service.domain.identity import SessionKey, TenantId
+from revisit.service.domain.policy import Policy
+from revisit.service.domain.records import ScanRecord, SessionRecord
+from revisit.service.failpoints import failpoint
+from revisit.service.features.ingest.clouds import (
+    CloudDecoder,
+    CloudInput,
+    accept_cloud,
+    pack_cloud,
+    reading_points,
+    unpack_cloud,
+)
+from revisit.service.features.ingest.open_streams import OpenStreams
+from revisit.service.features.ingest.posting import PostedSubmap
+from revisit.service.features.ingest.rules import ScanRange, add_window_submap
+from revisit.service.ports.blobs import CLOUD_BLOB
+from revisit.service.ports.clock import Clock
+from revisit.service.ports.storage import Storage, require_active, require_map, require_session
+from revisit.service.ports.transactions import UnitOfWork
+
+SAME_POSE = 1e-9
+"""Numbers of a pose that differ by less, metres or none, are the same number rounded twice."""
+
+SESSIONS_REMEMBERED = 4096
+"""Sessions whose window rules are kept in memory, about 1 kB each."""
+
+
+FirstSeqFrom = Callable[[float], int | None]
+"""The first stored scan taken at or beyond a travelled distance in metres."""
+
+
+@dataclass(frozen=True)
+class AppendScan:
+    """The scan with client sequence number `seq` (1, 2, 3, ...), taken from `T_odom_sensor` (4, 4)."""
+
+    session: SessionKey
+    seq: int
+    stamp_ns: int
+    T_odom_sensor: Matrix4
+    cloud: CloudInput
+
+
+@dataclass(frozen=True)
+class ScanAck:
+    """The scan is durable. `committed_seq` is the last durable one; `submap` is the one that this scan completed.
+
+    A scan that is stored already is acknowledged and ignored (`replay`).
+    """
+
+    committed_seq: int
+    replay: bool
+    report: CloudReport | None
+    submap: PostedSubmap | None
+
+
+@dataclass(frozen=True)
+class ResumePoint:
+    """What a client remembers of a session: the token of an earlier stream, if any, and what was acknowledged."""
+
+    token: str = ""
+    acknowledged_seq: int = 0
+
+
+@dataclass(frozen=True)
+class OpenedStream:
+    """Where a client resumes: the next scan to send is `committed_seq + 1`.
+
+    `resume_token` names this session and no other that may get its name later.
+    """
+
+    session: SessionKey
+    committed_seq: int
+    resume_token: str
+
+
+@dataclass(frozen=True)
+class _Accepted:
+    """A scan that passed validation, and its cloud to store."""
+
+    seq: int
+    scan: Scan
+    packed: bytes
+    sha256: str
+
+
+class Scans:
+    """Open a session's stream and append scans to it."""
+
+    def __init__(
+        self,
+        storage: Storage,
+        admission: Admission,
+        decoder: CloudDecoder,
+        jobs: JobPosting,
+        in_flight: InFlight,
+        streams: OpenStreams,
+        clock: Clock,
+        policy: Policy,
+    ) -> None:
+        """Completed submaps are queued through `jobs`."""
+        self._storage = storage
+        self._admission = admission
+        self._decoder = decoder
+        self._jobs = jobs
+        self._in_flight = in_flight
+        self._streams = streams
+        self._clock = clock
+        self._policy = policy
+        self._window_configs: dict[int, SubmapConfig] = {}
+
+    async def open(self, tenant: TenantId, session: SessionKey, resume: ResumePoint = ResumePoint()) -> OpenedStream:
+        """Where the session stands.
+
+        Raises NotFound, also where the token is another session's; SequenceGap where fewer scans are stored than were
+        acknowledged (an older backup was restored); SessionFinished, Draining.
+        """
+        self._admission.require_running()
+        record = await self._storage.read(partial(require_session, tenant=tenant, key=session))
+        token = f"{record.number:x}-{record.created_at_ns:x}"
+        if resume.token not in ("", token):
+            raise NotFound("the resume token is of another session")
+        if resume.acknowledged_seq > record.committed_seq:
+            raise SequenceGap(record.committed_seq + 1, resume.acknowledged_seq + 1)
+        require_active(record)
+        return OpenedStream(session, record.committed_seq, token)
+
+    def deletion_of(self, tenant: TenantId, session: SessionKey) -> AbstractContextManager[asyncio.Event]:
+        """An event that is set when the session is deleted; to be entered before `open`."""
+        return self._streams.deletion_of(tenant, session)
+
+    def reserve_stream(self, tenant: TenantId, *, replaces: bool) -> AbstractContextManager[None]:
+        """The slot of one more stream (see `InFlight.reserve_stream`). Raises RateLimited."""
+        return self._in_flight.reserve_stream(tenant, replaces=replaces)
+
+    async def append(self, tenant: TenantId, command: AppendScan, *, patient: bool = False) -> ScanAck:
+        """Store one scan durably; returns after the commit. A `patient` one waits for a slot.
+
+        Raises what decoding and validation raise, NotFound, SessionFinished, SequenceGap(expected), AlreadyExists for
+        other content under the number of a stored scan, WorkersBusy, RateLimited, QuotaReached, Draining, StorageFull,
+        StorageUncertain.
+        """
+        self._admission.require_storage()
+        session = await self._storage.read(partial(require_session, tenant=tenant, key=command.session))
+        replay = _is_replay(session, command.seq)
+        if not replay:
+            await self._admission.require_room(tenant)
+        price = reading_points(command.cloud)
+        async with self._admission.cloud(tenant, refused_points=price, patient=patient, queued=False) as decoded:
+            accepted = await self._decoder.run(tenant, _accept, command)
+            decoded(len(accepted.scan.points))
+            if replay:
+                return await self._replayed(session, accepted)
+            return await self._store(tenant, command.session, accepted)
+
+    async def _replayed(self, session: SessionRecord, accepted: _Accepted) -> ScanAck:
+        """The answer to a scan whose number is taken. Raises AlreadyExists unless it is the stored one again."""
+        stored = await self._storage.read(partial(_stored_scan, session=session, seq=accepted.seq))
+        if stored is not None and not await self._is_stored(stored, accepted):
+            raise _taken(session, accepted.seq)
+        return ScanAck(session.committed_seq, replay=True, report=None, submap=None)
+
+    async def _is_stored(self, stored: ScanRecord, accepted: _Accepted) -> bool:
+        """Whether this is the stored scan. Another compressor may have packed the stored cloud: then points decide."""
+        if not _same_place(stored, accepted):
+            return False
+        if stored.cloud_sha256 == accepted.sha256:
+            return True
+        packed = await asyncio.to_thread(self._storage.blobs.get, stored.tenant, CLOUD_BLOB, stored.cloud_sha256)
+        return await self._decoder.run(stored.tenant, _same_points, packed, accepted.packed)
+
+    async def _store(self, tenant: TenantId, key: SessionKey, accepted: _Accepted) -> ScanAck:
+        await self._storage.put_blob(tenant, CLOUD_BLOB, accepted.packed)
+        failpoint("ingest.after_blob")
+        ack = await self._storage.write(partial(self._insert, tenant=tenant, key=key, accepted=accepted))
+        self._admission.note_stored(tenant, len(accepted.scan.points))
+        failpoint("ingest.after_commit")
+        return ack
+
+    def _insert(self, uow: UnitOfWork, tenant: TenantId, key: SessionKey, accepted: _Accepted) -> ScanAck:
+        session = require_session(uow, tenant, key)
+        if _is_replay(session, accepted.seq):
+            stored = _stored_scan(uow, session, accepted.seq)
+            # It came a moment ago, by the same compressor.
+            if stored is not None and not (_same_place(stored, accepted) and stored.cloud_sha256 == accepted.sha256):
+                raise _taken(session, accepted.seq)
+            return ScanAck(session.committed_seq, replay=True, report=None, submap=None)
+        last = uow.scans.get(session.tenant, session.map_id, session.session_id, session.committed_seq)
+        step_m = _step_m(last, accepted.scan)
+        self._storage.keep_blob(tenant, CLOUD_BLOB, accepted.packed, accepted.sha256)
+        uow.scans.add(_row(session, accepted, session.travelled_m + step_m))
+        submap = self._advance(uow, session, accepted.seq, step_m)
+        return ScanAck(accepted.seq, replay=False, report=accepted.scan.report, submap=submap)
+
+    def _advance(self, uow: UnitOfWork, session: SessionRecord, seq: int, step_m: float) -> PostedSubmap | None:
+        """Move the session's window on; the submap that is complete now, if one is."""
+        config = self._window_config(uow, session)
+        first_seq_from = partial(uow.scans.first_seq_from, session.tenant, session.map_id, session.session_id)
+        moved, finished = advance(session, seq, step_m, config, first_seq_from)
+        if finished is None:
+            uow.sessions.replace(moved)
+            return None
+        return add_window_submap(uow, self._jobs, moved, finished, self._clock.wall_ns())[0]
+
+    def _window_config(self, uow: UnitOfWork, session: SessionRecord) -> SubmapConfig:
+        """How the session's scans are cut into submaps: rules of its map, which never change, so they are read once."""
+        if session.number not in self._window_configs:
+            if len(self._window_configs) == SESSIONS_REMEMBERED:
+                self._window_configs.clear()
+            config = self._policy.for_map(require_map(uow, session.tenant, session.map_id)).submap
+            self._window_configs[session.number] = config
+        return self._window_configs[session.number]
+
+
+def advance(
+    session: SessionRecord, seq: int, step_m: float, config: SubmapConfig, first_seq_from: FirstSeqFrom
+) -> tuple[SessionRecord, ScanRange | None]:
+    """The session after scan `seq`, taken `step_m` metres beyond the last one, and the window that it completes."""
+    travelled = session.travelled_m + step_m
+    if travelled - session.window_start_m < config.tau:
+        return replace(session, committed_seq=seq, travelled_m=travelled), None
+    start = next_window_start(session.window_start_m, travelled, config)
+    # The newest scan always stays: the next step is measured from it.
+    first_kept = first_seq_from(start)
+    first = seq if first_kept is None else max(session.window_first_seq, first_kept)
+    moved = replace(
+        session,
+        committed_seq=seq,
+        travelled_m=travelled,
+        window_first_seq=first,
+        window_start_m=start,
+        emitted_to_m=travelled,
+    )
+    return moved, ScanRange(session.window_first_seq, seq)
+
+
+def _accept(command: AppendScan) -> _Accepted:
+    cloud, report = accept_cloud(command.cloud, limits.SCAN_POINTS)
+    scan = Scan.posed(cloud.points, report, command.T_odom_sensor, command.stamp_ns)
+    packed = pack_cloud(cloud)
+    return _Accepted(command.seq, scan, packed, hashlib.sha256(packed).hexdigest())
+
+
+def _is_replay(session: SessionRecord, seq: int) -> bool:
+    """Whether the scan is durable already. Raises BadField; SessionFinished; SequenceGap beyond the next one."""
+    following = session.committed_seq + 1
+    if seq == following:
+        require_active(session)
+        return False
+    limits.SCAN_SEQ.validated(seq, "seq")
+    if seq < following:
+        return True
+    require_active(session)
+    raise SequenceGap(following, seq)
+
+
+def _stored_scan(uow: UnitOfWork, session: SessionRecord, seq: int) -> ScanRecord | None:
+    return uow.scans.get(session.tenant, session.map_id, session.session_id, seq)
+
+
+def _same_place(stored: ScanRecord, accepted: _Accepted) -> bool:
+    """Whether time and pose are those of the stored scan, but for rounding."""
+    difference = pose_matrix(stored.T_odom_sensor) - accepted.scan.T_odom_sensor
+    return stored.stamp_ns == accepted.scan.stamp_ns and bool(np.abs(difference).max() < SAME_POSE)
+
+
+def _same_points(one: bytes, other: bytes) -> bool:
+    first, second = unpack_cloud(one), unpack_cloud(other)
+    if first.intensity is None or second.intensity is None:
+        return first.intensity is second.intensity and np.array_equal(first.points, second.points)
+    same_intensity = np.array_equal(first.intensity, second.intensity, equal_nan=True)
+    return same_intensity and np.array_equal(first.points, second.points)
+
+
+def _taken(session: SessionRecord, seq: int) -> AlreadyExists:
+    return AlreadyExists(
+        f"scan {seq} of session {session.session_id} is stored with other content. Where odometry began again (the "
+        f"robot restarted, another recording), create a new session; else go on with scan {session.committed_seq + 1}"
+    )
+
+
+def _step_m(last: ScanRecord | None, scan: Scan) -> float:
+    """How far the sensor moved since the last stored scan, metres. Raises BadField where time went backwards."""
+    if last is None:
+        return 0.0
+    if scan.stamp_ns < last.stamp_ns:
+        raise BadField(f"stamp_ns lies before that of the last stored scan, {last.stamp_ns}", field="stamp_ns")
+    return float(np.linalg.norm(scan.T_odom_sensor[:3, 3] - pose_matrix(last.T_odom_sensor)[:3, 3]))
+
+
+def _row(session: SessionRecord, accepted: _Accepted, travelled_m: float) -> ScanRecord:
+    return ScanRecord(
+        tenant=session.tenant,
+        map_id=session.map_id,
+        session_id=session.session_id,
+        seq=accepted.seq,
+        stamp_ns=accepted.scan.stamp_ns,
+        T_odom_sensor=pose_row(accepted.scan.T_odom_sensor),
+        travelled_m=travelled_m,
+        point_count=len(accepted.scan.points),
+        cloud_sha256=accepted.sha256,
+    )

@@ -1,0 +1,170 @@
+"""Received clouds: decoded if they are encoded, validated, and packed for storage."""
+
+from __future__ import annotations
+
+import asyncio
+import re
+import struct
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from contextvars import copy_context
+from dataclasses import dataclass
+from functools import partial
+from typing import ParamSpec, TypeAlias, TypeVar
+
+import numpy as np
+import zstandard
+from numpy.typing import NDArray
+
+from revisit.core.codec.container import decompressed, from_byte_planes, to_byte_planes
+from revisit.core.errors import BadField, DataLoss, FormerForm, RevisitError, TooLarge
+from revisit.core.scan import CloudReport, Points, validate_cloud
+from revisit.formats import CloudLimits, DecodedCloud, decode_cloud, quantised
+from revisit.formats.cloud import DEFAULT_LIMITS, decode_content
+from revisit.service.capacity.in_flight import Turns
+from revisit.service.domain import limits
+from revisit.service.domain.identity import TenantId
+
+QUERY_NONCE_BYTES = 16
+
+BYTES_A_POINT = 4
+"""So many bytes of text take as long to read as one point of a binary cloud, its packing included."""
+
+STORED_LIMITS = CloudLimits(max_points=limits.SUBMAP_POINTS)
+"""Of a stored cloud: it was let in, so only damage makes it larger."""
+
+P = ParamSpec("P")
+T = TypeVar("T")
+
+_MAGIC = b"RVC1"
+_FORMER_MAGIC = b"RVQ1"
+_HEADER = struct.Struct("<4sIB")
+_HEADER_BYTES = 64 * 2**10
+# The line of a PCD or PLY header that says so.
+_ASCII_HEADER = re.compile(rb"^(DATA|format)[ \t]+ascii", re.IGNORECASE | re.MULTILINE)
+
+
+@dataclass(frozen=True)
+class EncodedCloud:
+    """Bytes as the client sent them, with their content type.
+
+    `coding` is the compression that is still on them (`gzip`, `zstd`): it is removed when the cloud's turn to be
+    decoded comes, so that a cloud that waits keeps its small form.
+    """
+
+    data: bytes
+    content_type: str
+    coding: str | None = None
+
+
+CloudInput: TypeAlias = EncodedCloud | DecodedCloud
+
+
+@dataclass(frozen=True)
+class StoredCloud:
+    """What is kept of a cloud: finite points (n, 3) float32 metres in the sensor frame, and intensity (n,) if sent.
+
+    `quantised`: the same as the client sent it, where it came in that form.
+    """
+
+    points: Points
+    intensity: NDArray[np.float32] | None
+    quantised: bytes | None = None
+
+
+def accept_cloud(cloud: CloudInput, max_points: int) -> tuple[StoredCloud, CloudReport]:
+    """Decode where needed, validate, and keep the finite points with their intensity.
+
+    Raises what `revisit.formats.decode_cloud` and `core.scan.validate_cloud` raise, and TooLarge above `max_points`.
+    """
+    decoded, sent = _decoded(cloud)
+    if len(decoded.points) > max_points:
+        raise TooLarge(f"a cloud may hold {max_points} points here, got {len(decoded.points)}", field="points")
+    points, report = validate_cloud(decoded.points)
+    if decoded.intensity is None:
+        return StoredCloud(points, None, sent), report
+    if decoded.intensity.shape != (len(decoded.points),):
+        raise BadField("intensity must have one value per point", field="intensity")
+    kept = decoded.intensity
+    if report.dropped_nonfinite:
+        kept = kept[np.isfinite(decoded.points).all(axis=1)]
+    return StoredCloud(points, np.ascontiguousarray(kept, dtype=np.float32), sent), report
+
+
+def reading_points(cloud: CloudInput) -> int:
+    """What it takes at most to read a cloud that is refused in the end, in points of one that is not."""
+    if not isinstance(cloud, EncodedCloud):
+        return len(cloud.points)
+    ratio = DEFAULT_LIMITS.max_ratio if cloud.coding else 1
+    return min(ratio * len(cloud.data), DEFAULT_LIMITS.max_decoded_bytes) // BYTES_A_POINT
+
+
+class CloudDecoder:
+    """Decodes clouds beside the event loop, as many at a time as there are threads; tenants take turns.
+
+    A cloud keeps a core busy, up to a fifth of a second and compressed text for longer. Whoever sends many waits for
+    the own ones, and not the others: one thread is left to them.
+    """
+
+    def __init__(self, threads: int) -> None:
+        """Clouds beyond `threads` wait for their turn."""
+        self._pool = ThreadPoolExecutor(threads, "decode")
+        self._turns = Turns(threads, of_tenant=max(1, threads - 1))
+
+    async def run(self, tenant: TenantId, work: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> T:
+        """What `work` returns for `tenant`, run in one of the threads with the context of the request."""
+        in_context = partial(copy_context().run, work, *args, **kwargs)
+        async with self._turns.of(tenant):
+            return await asyncio.get_running_loop().run_in_executor(self._pool, in_context)
+
+
+def pack_cloud(cloud: StoredCloud) -> bytes:
+    """The cloud as a compact, lossless blob: as it was sent, where it is quantised and no larger than its numbers.
+
+    Else a header, then the byte planes of its float32 columns under zstd.
+    """
+    width = 3 if cloud.intensity is None else 4
+    if cloud.quantised is not None and len(cloud.quantised) <= 4 * width * len(cloud.points):
+        return cloud.quantised
+    columns = cloud.points if cloud.intensity is None else np.column_stack([cloud.points, cloud.intensity])
+    table = np.ascontiguousarray(columns, dtype="<f4")
+    header = _HEADER.pack(_MAGIC, len(table), table.shape[1])
+    return header + zstandard.ZstdCompressor(level=1).compress(to_byte_planes(table))
+
+
+def unpack_cloud(blob: bytes) -> StoredCloud:
+    """The cloud of `pack_cloud`. Raises FormerForm, DataLoss for anything else."""
+    if blob.startswith(quantised.MAGIC):
+        return _dequantised(blob)
+    if blob.startswith(_FORMER_MAGIC):
+        raise FormerForm("stored cloud", "its robot has to send it again")
+    try:
+        magic, count, width = _HEADER.unpack_from(blob)
+        size = count * width * 4
+        if magic != _MAGIC or width not in (3, 4) or count > limits.SUBMAP_POINTS:
+            raise DataLoss("a stored cloud has a damaged header")
+    except struct.error as error:
+        raise DataLoss("a stored cloud is damaged") from error
+    data = decompressed(blob[_HEADER.size :], size, "stored cloud")
+    if len(data) != size:
+        raise DataLoss("a stored cloud is incomplete")
+    table = from_byte_planes(data, width, "<f4").astype(np.float32)
+    return StoredCloud(np.ascontiguousarray(table[:, :3]), table[:, 3].copy() if width == 4 else None)
+
+
+def _dequantised(blob: bytes) -> StoredCloud:
+    try:
+        cloud = quantised.decode(blob, STORED_LIMITS)
+    except RevisitError as error:
+        raise DataLoss("a stored cloud is damaged") from error
+    return StoredCloud(cloud.points, cloud.intensity)
+
+
+def _decoded(cloud: CloudInput) -> tuple[DecodedCloud, bytes | None]:
+    """The cloud, and the bytes that it was decoded from where they are quantised."""
+    if not isinstance(cloud, EncodedCloud):
+        return cloud, None
+    data = decode_content(cloud.data, cloud.coding)
+    if len(data) > limits.ASCII_CLOUD_BYTES and _ASCII_HEADER.search(data, 0, _HEADER_BYTES):
+        raise TooLarge(f"an ASCII cloud may have {limits.ASCII_CLOUD_BYTES} bytes; send the binary form of the format")
+    return decode_cloud(data, cloud.content_type), data if data.startswith(quantised.MAGIC) else None

@@ -1,0 +1,89 @@
+"""What a submap is made of: one posted cloud, or the scans of a window; and putting it together."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from revisit.core.config import SubmapConfig
+from revisit.core.geometry.se3 import pose_matrix
+from revisit.core.scan import CloudReport, Scan
+from revisit.core.submap import Submap, chosen_scans
+from revisit.service.domain.policy import Policy
+from revisit.service.domain.records import Pose, SubmapRecord
+from revisit.service.features.ingest.clouds import unpack_cloud
+from revisit.service.ports.blobs import CLOUD_BLOB, BlobStore
+from revisit.service.ports.storage import require_map
+from revisit.service.ports.transactions import UnitOfWork
+
+MAX_SCANS = 400
+"""A window of a robot that stood still can hold any number of scans: at most this many, evenly spread, are used."""
+
+
+@dataclass(frozen=True)
+class PosedCloud:
+    """A stored cloud and where it was taken from."""
+
+    cloud_sha256: str
+    T_odom_sensor: Pose
+    stamp_ns: int
+    point_count: int
+
+
+@dataclass(frozen=True)
+class SubmapSource:
+    """The clouds of a submap in time order and the pose of its frame; `posted`: one, accumulated elsewhere."""
+
+    clouds: tuple[PosedCloud, ...]
+    posted: bool
+    config: SubmapConfig
+    T_odom_submap: Pose
+
+
+def submap_source(uow: UnitOfWork, policy: Policy, record: SubmapRecord) -> SubmapSource:
+    """The source of a stored submap."""
+    config = policy.for_map(require_map(uow, record.tenant, record.map_id)).submap
+    if record.first_seq is None or record.last_seq is None:
+        posted = PosedCloud(str(record.cloud_sha256), record.T_odom_submap, record.stamp_ns, record.point_count)
+        return SubmapSource((posted,), posted=True, config=config, T_odom_submap=record.T_odom_submap)
+    seqs = chosen_seqs(record.first_seq, record.last_seq)
+    scans = uow.scans.with_seqs(record.tenant, record.map_id, record.session_id, seqs)
+    positions = np.array([pose_matrix(scan.T_odom_sensor)[:3, 3] for scan in scans])
+    rows = chosen_scans(positions, np.array([scan.point_count for scan in scans]), config)
+    clouds = tuple(
+        PosedCloud(scan.cloud_sha256, scan.T_odom_sensor, scan.stamp_ns, scan.point_count)
+        for scan in (scans[row] for row in rows)
+    )
+    return SubmapSource(clouds, posted=False, config=config, T_odom_submap=record.T_odom_submap)
+
+
+def chosen_seqs(first: int, last: int) -> list[int]:
+    """The numbers first..last of a window's scans; of more than MAX_SCANS so many, evenly spread, with both ends.
+
+    Stored scans have no gaps, so what is not chosen need not be read.
+    """
+    if last - first < MAX_SCANS:
+        return list(range(first, last + 1))
+    return [first + round(index * (last - first) / (MAX_SCANS - 1)) for index in range(MAX_SCANS)]
+
+
+def load_submap(blobs: BlobStore, record: SubmapRecord, source: SubmapSource) -> Submap:
+    """The submap with its points: its scans are read one by one, and take no room. Raises DataLoss, EmptyCloud."""
+    scans = each_scan(blobs, record, source)
+    if source.posted:
+        return Submap.from_cloud(next(scans), source.config)
+    room = sum(cloud.point_count for cloud in source.clouds)
+    return Submap.accumulated(scans, pose_matrix(source.T_odom_submap), source.config, room)
+
+
+def each_scan(blobs: BlobStore, record: SubmapRecord, source: SubmapSource) -> Iterator[Scan]:
+    """The scans that a submap is made of, or its one cloud, as they are asked for. Raises DataLoss."""
+    for cloud in source.clouds:
+        yield Scan(
+            unpack_cloud(blobs.get(record.tenant, CLOUD_BLOB, cloud.cloud_sha256)).points,
+            pose_matrix(cloud.T_odom_sensor),
+            cloud.stamp_ns,
+            CloudReport(0, "degenerate_plane" in record.flags),
+        )

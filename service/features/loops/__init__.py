@@ -1,0 +1,1 @@
+"""Loop closures: claims, verdicts, decisions, history."""

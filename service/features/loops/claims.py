@@ -1,0 +1,251 @@
+"""Loop closures as rows and as claims: the one place that turns one into the other.
+
+A claim is of `core.acceptance`. Its row has state, reason, score and pose in columns; the rest is `evidence`, JSON:
+`measurement`, `thresholds`, `doubts`, `support`, `distinctiveness`.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+
+from revisit.core.acceptance import (
+    TELLING,
+    Doubt,
+    Drive,
+    Grounds,
+    LoopClaim,
+    Station,
+    Support,
+    stride_of_drive,
+    submaps_asked,
+)
+from revisit.core.config import PipelineConfig, VerificationConfig
+from revisit.core.geometry.se3 import Matrix4, pose_matrix
+from revisit.core.pair_verdict import (
+    Hypothesis,
+    LoopMeasurement,
+    PairVerdict,
+    RejectedLoop,
+    RejectionReason,
+    VerifiedLoop,
+)
+from revisit.service.domain.records import LoopRecord, SubmapRecord
+from revisit.service.domain.states import GraphState, LoopState
+from revisit.service.ports.transactions import UnitOfWork
+
+Evidence = dict[str, Any]
+
+SETTABLE = ("min_score", "min_overlap", "max_seen_through")
+"""The thresholds that an operator may set (see `contract.loop_policy`): written beside each verdict."""
+
+BRIEF = (
+    "inliers", "overlap", "contrast", "seen_through", "rmse_m", "common_share", "enough_share", "covariance",
+)  # fmt: skip
+"""The measurement of a rejected pair that people and clients are told. Its pose, score and similarity are members of
+the loop itself; the covariance counts where a person accepts it all the same."""
+
+VERSION_DIGITS = 12
+
+_RULES = ("thresholds", "thresholds_version")
+
+_JUDGED = ("doubts", "support")
+"""Members of the evidence of a stored loop that a new judgement replaces as a whole."""
+
+_MOST_MATCHES = 1000
+
+
+@dataclass(frozen=True)
+class StoredDrive:
+    """The drive before a submap, as the rules ask for it, and the row and submaps of each of its claims."""
+
+    drive: Drive
+    loops: list[LoopRecord]
+    pairs: list[tuple[SubmapRecord, SubmapRecord]]
+
+
+def station(submap: SubmapRecord) -> Station:
+    """A submap on its drive."""
+    return Station(submap.session_number, submap.ordinal, pose_matrix(submap.T_odom_submap))
+
+
+def drive_before(uow: UnitOfWork, submap: SubmapRecord, config: PipelineConfig) -> StoredDrive:
+    """The drive of `submap` before it, as far as the rules ask."""
+    path = uow.submaps.path(
+        submap.tenant, submap.map_id, submap.session_id, submap.ordinal, submaps_asked(config), back=True
+    )
+    queries = uow.submaps.numbered(submap.tenant, [one.number for one in path])
+    told = uow.loops.telling(submap.tenant, sorted(queries), [reason.value for reason in TELLING])
+    loops = [loop for loop in told if _says(loop)]
+    matches = uow.submaps.numbered(submap.tenant, sorted({loop.match_number for loop in loops})[-_MOST_MATCHES:])
+    loops = [loop for loop in loops if loop.match_number in matches]
+    pairs = [(queries[loop.query_number], matches[loop.match_number]) for loop in loops]
+    claims = [claim_of_row(loop, *pair) for loop, pair in zip(loops, pairs, strict=True)]
+    stride_m = stride_of_drive(station(submap), [station(one) for one in queries.values()], config)
+    return StoredDrive(Drive(claims, stride_m), loops, pairs)
+
+
+def _says(loop: LoopRecord) -> bool:
+    """Whether a stored loop says anything of a pose: accepted and no outlier, ambiguous, or of a low score there."""
+    if loop.T_match_query is None:
+        return False
+    if loop.state == LoopState.ACCEPTED:
+        return loop.graph_state != GraphState.SET_ASIDE
+    return loop.state == LoopState.REJECTED and loop.reason in TELLING
+
+
+def claim_of_row(loop: LoopRecord, query: SubmapRecord, match: SubmapRecord) -> LoopClaim:
+    """A stored loop with a pose as a claim. What a person has accepted is not doubted any more."""
+    support = _support_from(loop.evidence.get("support"))
+    doubts = {Doubt(name): _grounds_from(told) for name, told in loop.evidence.get("doubts", {}).items()}
+    accepted = loop.state == LoopState.ACCEPTED
+    if accepted and support is None:
+        doubts = {}
+    verdict: PairVerdict
+    if accepted or (doubts and loop.reason == RejectionReason.AMBIGUOUS):
+        verdict = VerifiedLoop(_measurement_from(loop))
+    else:
+        verdict = RejectedLoop(RejectionReason(str(loop.reason)), _measurement_from(loop))
+    return LoopClaim(station(query), station(match), verdict, doubts, support, by_hand=loop.manual)
+
+
+def loop_state(claim: LoopClaim) -> LoopState:
+    """The state of the row of a claim."""
+    return LoopState.ACCEPTED if claim.accepted else LoopState.REJECTED
+
+
+def evidence_of(claim: LoopClaim, rules: VerificationConfig) -> Evidence:
+    """The evidence of a claim whose pair was verified by `rules`."""
+    return {**verdict_evidence(claim.verdict, rules), **_judgement(claim)}
+
+
+def kept_evidence(claim: LoopClaim, rules: VerificationConfig) -> Evidence:
+    """As `evidence_of`; in brief where a pair was rejected for a reason that no rule reads (docs/decisions/0091)."""
+    evidence = evidence_of(claim, rules)
+    if claim.accepted or claim.reason in TELLING:
+        return evidence
+    measured = evidence["measurement"]
+    return {**evidence, "measurement": {name: measured[name] for name in BRIEF if name in measured}}
+
+
+def revised_evidence(stored: Evidence, claim: LoopClaim, rules: VerificationConfig) -> Evidence:
+    """The evidence of a stored loop that was judged again: the pair has a new verdict only where it has support."""
+    measured = verdict_evidence(claim.verdict, rules)
+    if claim.support is None:
+        measured = {name: value for name, value in measured.items() if name not in _RULES}
+    kept = {name: value for name, value in stored.items() if name not in _JUDGED}
+    return {**kept, **measured, **_judgement(claim)}
+
+
+def verdict_evidence(verdict: PairVerdict, rules: VerificationConfig) -> Evidence:
+    """The evidence of a pair by itself: its measurement, and the rules that judged it."""
+    measured = {} if verdict.measurement is None else _as_json(verdict.measurement)
+    message = verdict.message if isinstance(verdict, RejectedLoop) else None
+    told: Evidence = {} if message is None else {"message": message}
+    return {"measurement": measured, **told, **_thresholds(rules)}
+
+
+def rules_of(evidence: Evidence) -> Evidence:
+    """The thresholds that a verdict was given by, of its evidence."""
+    return {name: evidence[name] for name in _RULES if name in evidence}
+
+
+def _judgement(claim: LoopClaim) -> Evidence:
+    told: Evidence = {}
+    if claim.doubts:
+        told["doubts"] = {doubt.value: {"words": of.words, **of.figures} for doubt, of in claim.doubts.items()}
+    if claim.support is not None:
+        told["support"] = _support_json(claim.support)
+    if claim.distinctiveness is not None:
+        told["distinctiveness"] = dataclasses.asdict(claim.distinctiveness)
+    return told
+
+
+def _support_json(support: Support) -> Evidence:
+    return {
+        "anchors": support.anchors,
+        "agreeing": support.agreeing,
+        "along_m": round(support.along_m, 3),
+        "ruled_out": [pose.tolist() for pose in support.ruled_out],
+        "words": support.words,
+    }
+
+
+def _support_from(told: Evidence | None) -> Support | None:
+    if told is None:
+        return None
+    return Support(told["anchors"], told["agreeing"], told["along_m"], tuple(_poses(told["ruled_out"])))
+
+
+def _grounds_from(told: Evidence) -> Grounds:
+    return Grounds(told["words"], {name: value for name, value in told.items() if name != "words"})
+
+
+def _measurement_from(loop: LoopRecord) -> LoopMeasurement:
+    """The measurement of a stored loop that has a pose. What a person said has that alone."""
+    told = loop.evidence.get("measurement", {})
+    return LoopMeasurement(
+        similarity=loop.similarity,
+        inliers=int(told.get("inliers") or 0),
+        inlier_ratio=_number(told, "inlier_ratio"),
+        overlap=_number(told, "overlap"),
+        contrast=_number(told, "contrast"),
+        seen_through=_number(told, "seen_through"),
+        rmse_m=_number(told, "rmse_m"),
+        score=loop.score,
+        T_match_query=pose_matrix(loop.T_match_query) if loop.T_match_query else np.eye(4),
+        covariance=np.nan_to_num(np.array(told.get("covariance", np.zeros(36)), dtype=np.float64)).reshape(6, 6),
+        rivals=tuple(Hypothesis(*_hypothesis(one)) for one in told.get("rivals", ())),
+        common_share=_number(told, "common_share"),
+        enough_share=_number(told, "enough_share"),
+    )
+
+
+def _number(told: Evidence, name: str) -> float:
+    return float(told.get(name) or 0.0)
+
+
+def _hypothesis(told: Evidence) -> tuple[float, Matrix4]:
+    return float(told["overlap"] or 0.0), np.array(told["T_match_query"], dtype=np.float64)
+
+
+def _poses(told: Sequence[Any]) -> list[Matrix4]:
+    return [np.array(pose, dtype=np.float64) for pose in told]
+
+
+@lru_cache(maxsize=64)
+def _thresholds(rules: VerificationConfig) -> Evidence:
+    """Which rules gave the verdict: those that an operator sets, others that are not the default, and a hash of all.
+
+    Kept, because each candidate of a map has the same ones; nobody changes the answer.
+    """
+    values, defaults = _as_json(rules), _as_json(VerificationConfig())
+    told = {name: value for name, value in values.items() if name in SETTABLE or value != defaults[name]}
+    digest = hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()
+    return {"thresholds": told, "thresholds_version": digest[:VERSION_DIGITS]}
+
+
+def _as_json(record: Any) -> Evidence:
+    """The fields of a flat dataclass of numbers, strings and arrays; a non-finite number becomes None."""
+    return {field.name: _json_value(getattr(record, field.name)) for field in dataclasses.fields(record)}
+
+
+def _json_value(value: Any) -> Any:
+    if isinstance(value, Hypothesis):
+        return _as_json(value)
+    if isinstance(value, np.ndarray):
+        return [_json_value(item) for item in value.tolist()]
+    if isinstance(value, list | tuple):
+        return [_json_value(item) for item in value]
+    if isinstance(value, np.generic):
+        return _json_value(value.item())
+    if isinstance(value, float):
+        return value if np.isfinite(value) else None
+    return value

@@ -1,0 +1,180 @@
+"""Merges: make a map, or a session of it, a part of another map; look at what was merged; take it back."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any
+
+from revisit.core.errors import BadField
+from revisit.core.geometry import se3
+from revisit.core.geometry.se3 import Matrix4, pose_row
+from revisit.service.capacity.admission import Admission
+from revisit.service.capacity.backlog import JobPosting, same_job
+from revisit.service.domain import limits
+from revisit.service.domain.callers import current_actor
+from revisit.service.domain.errors import NotFound, NotReady
+from revisit.service.domain.identity import SessionKey, TenantId
+from revisit.service.domain.records import MapMergeRecord
+from revisit.service.domain.states import OperationKind
+from revisit.service.failpoints import failpoint
+from revisit.service.features.audit import calls as audit
+from revisit.service.features.audit.calls import AuditEntry
+from revisit.service.features.deletion.blob_references import Blob, BlobCollector
+from revisit.service.features.deletion.erasure import Erasure
+from revisit.service.features.deletion.rows import mark_session
+from revisit.service.features.graph.posting import drop_waiting
+from revisit.service.features.merging.reading import require_comparable
+from revisit.service.features.optimisation.calls import restore_version
+from revisit.service.features.optimisation.rows import MAP_REVERTED
+from revisit.service.features.resources.paging import Lists, Page, PageRequest
+from revisit.service.features.resources.views import PostedOperation, operation_view
+from revisit.service.ports.clock import Clock
+from revisit.service.ports.storage import Storage, require_map, require_session
+from revisit.service.ports.transactions import UnitOfWork
+
+DEFAULT_RADIUS_M = 30.0
+"""How far from an initial pose loops may put two submaps, where nobody says."""
+
+
+@dataclass(frozen=True)
+class MergeMap:
+    """Merge `source_map_id`, or one session of it, into `map_id`; with `validate_only` only say what would happen.
+
+    `T_map_source` (4, 4) is roughly where the frame of the source lies in that of the map, within `radius_m` metres.
+    """
+
+    map_id: str
+    source_map_id: str
+    source_session_id: str | None = None
+    validate_only: bool = False
+    T_map_source: Matrix4 | None = None
+    radius_m: float | None = None
+
+    def payload(self) -> dict[str, Any]:
+        """Of the job. Raises BadField, BadTransform."""
+        if self.source_map_id == self.map_id:
+            raise BadField("the sessions of a map are in it already: optimise it instead", field="source")
+        if self.radius_m is not None:
+            limits.RADIUS_M.validated(self.radius_m, "radius_m")
+            if self.T_map_source is None:
+                raise BadField("radius_m is that of an initial pose, which is missing", field="radius_m")
+        near = None if self.T_map_source is None else se3.validated(self.T_map_source)
+        radius_m = DEFAULT_RADIUS_M if self.radius_m is None else self.radius_m
+        return {
+            "map_id": self.map_id,
+            "source_map_id": self.source_map_id,
+            "source_session_id": self.source_session_id,
+            "validate_only": self.validate_only,
+            "T_map_source": None if near is None else list(pose_row(near)),
+            "radius_m": None if near is None else radius_m,
+            "actor": current_actor(),
+        }
+
+
+class MapMerges:
+    """Merge, list, get, take back."""
+
+    def __init__(
+        self,
+        storage: Storage,
+        lists: Lists,
+        admission: Admission,
+        jobs: JobPosting,
+        collector: BlobCollector,
+        erasure: Erasure,
+        clock: Clock,
+    ) -> None:
+        """Jobs are posted through `jobs`; the copies of a merge that is undone go through `collector` and `erasure`."""
+        self._storage = storage
+        self._lists = lists
+        self._admission = admission
+        self._jobs = jobs
+        self._collector = collector
+        self._erasure = erasure
+        self._clock = clock
+
+    async def merge(self, tenant: TenantId, command: MergeMap) -> PostedOperation:
+        """Queue a merge; the same that waits already is answered.
+
+        Raises NotFound; BadField; BadTransform; DescriptorModelMismatch where the maps were described by different
+        models; WorkersBusy; Draining.
+        """
+        self._admission.require_running()
+        payload = command.payload()
+        return await self._storage.write(partial(self._post, tenant=tenant, command=command, payload=payload))
+
+    async def list(self, tenant: TenantId, map_id: str, page: PageRequest) -> Page[MapMergeRecord]:
+        """The merges into a map, oldest first, those taken back too. Raises NotFound for the map."""
+        return await self._lists.page(tenant, page, partial(_merges, tenant=tenant, map_id=map_id), lambda _, one: one)
+
+    async def get(self, tenant: TenantId, map_id: str, merge_id: str) -> MapMergeRecord:
+        """Raises NotFound."""
+        return await self._storage.read(partial(_require_merge, tenant=tenant, map_id=map_id, merge_id=merge_id))
+
+    async def revert(self, tenant: TenantId, map_id: str, merge_id: str) -> MapMergeRecord:
+        """Take a merge back: its copies are deleted, the poses from before it come back, bit for bit.
+
+        What came into the map since stays. Raises NotFound; NotReady where a later merge holds; Draining.
+        """
+        self._admission.require_running()
+        entry = audit.noted(tenant, "merge_reverted", f"maps/{map_id}/merges/{merge_id}")
+        work = partial(self._revert, map_id=map_id, merge_id=merge_id, entry=entry)
+        reverted, doomed = await self._storage.write(work)
+        await self._collector.collect(tenant, doomed)
+        await self._erasure.soon(tenant, map_id, *reverted.sessions)
+        return reverted
+
+    def _post(self, uow: UnitOfWork, tenant: TenantId, command: MergeMap, payload: dict[str, Any]) -> PostedOperation:
+        target, source = (require_map(uow, tenant, one) for one in (command.map_id, command.source_map_id))
+        if command.source_session_id is not None:
+            require_session(uow, tenant, SessionKey(command.source_map_id, command.source_session_id))
+        require_comparable(target, source)
+        subject = f"maps/{command.map_id}"
+        waiting = same_job(uow, tenant, OperationKind.MERGE_MAP, subject, payload)
+        if waiting is not None:
+            return PostedOperation(operation_view(waiting), replay=True)
+        posted = self._jobs.post(uow, tenant, OperationKind.MERGE_MAP, subject, payload)
+        return PostedOperation(operation_view(posted), replay=False)
+
+    def _revert(
+        self, uow: UnitOfWork, map_id: str, merge_id: str, entry: AuditEntry
+    ) -> tuple[MapMergeRecord, set[Blob]]:
+        tenant, now_ns = TenantId(entry.tenant), self._clock.wall_ns()
+        merge = _require_merge(uow, tenant, map_id, merge_id)
+        if merge.reverted_at_ns is not None:
+            return merge, set()
+        later = uow.map_merges.find(tenant, after=merge.number, map_id=map_id, reverted_at_ns=None)
+        if later:
+            raise NotReady(f"merge {later[-1].merge_id} came later: take that back first")
+        audit.append(uow, now_ns, entry)
+        drop_waiting(uow, tenant, map_id, MAP_REVERTED, now_ns)
+        doomed = self._without_copies(uow, merge, now_ns)
+        failpoint("unmerge.after_rows")
+        restore_version(uow, require_map(uow, tenant, map_id), merge.version_before, now_ns)
+        reverted = replace(merge, reverted_at_ns=now_ns)
+        uow.map_merges.replace(reverted)
+        failpoint("unmerge.after_version")
+        return reverted, doomed
+
+    def _without_copies(self, uow: UnitOfWork, merge: MapMergeRecord, now_ns: int) -> set[Blob]:
+        """Delete the copies that are still there; blobs that other rows may name too."""
+        record, doomed = require_map(uow, merge.tenant, merge.map_id), set[Blob]()
+        for session_id in merge.sessions:
+            session = uow.sessions.get(merge.tenant, merge.map_id, session_id)
+            if session is not None:
+                doomed |= mark_session(uow, record, session, now_ns)
+        return doomed
+
+
+def _require_merge(uow: UnitOfWork, tenant: TenantId, map_id: str, merge_id: str) -> MapMergeRecord:
+    require_map(uow, tenant, map_id)
+    known = uow.map_merges.get(tenant, map_id, merge_id)
+    if known is None:
+        raise NotFound(f"there is no merge {merge_id!r} of map {map_id!r}"[:200])
+    return known
+
+
+def _merges(uow: UnitOfWork, after: int, limit: int, *, tenant: TenantId, map_id: str) -> list[MapMergeRecord]:
+    require_map(uow, tenant, map_id)
+    return uow.map_merges.find(tenant, after=after, limit=limit, map_id=map_id)

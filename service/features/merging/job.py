@@ -1,0 +1,171 @@
+"""Merging a map, or a session of it, into another map: what a worker does with the job."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from functools import partial
+
+import numpy as np
+
+from revisit.core.config import PipelineConfig
+from revisit.core.errors import DataLoss
+from revisit.core.geometry import se3
+from revisit.core.geometry.se3 import Matrix4
+from revisit.core.pair_verdict import PairVerdict, RejectedLoop, RejectionReason, VerifiedLoop
+from revisit.service.domain.errors import Unavailable
+from revisit.service.domain.identity import TenantId
+from revisit.service.domain.records import SubmapRecord
+from revisit.service.failpoints import failpoint
+from revisit.service.features.merging.reading import MergeOrder, MergeTask, read_merge, require_comparable
+from revisit.service.features.merging.rows import NOTHING_TO_MERGE, MergeCommit
+from revisit.service.features.merging.rules import (
+    CrossingLoop,
+    MergeProposal,
+    chosen,
+    placed_maps,
+    track_loop,
+)
+from revisit.service.features.operations.progress import OperationCancelled, Progress
+from revisit.service.ports.blobs import NEURAL_MAP_BLOB, PLACE_BLOB
+from revisit.service.ports.job_context import JobContext
+from revisit.service.ports.job_queue import CANCELLED, Lease
+from revisit.service.ports.map_merger import AlignedMaps, MapMerger, SurfaceEvidence
+from revisit.service.ports.recogniser import PlaceRecogniser
+
+CANDIDATES = 3
+"""Of each submap in the other map: loops are needed along the common track, not of every submap."""
+
+MOST_PAIRS = 1_000
+"""Pairs of submaps that are verified, the likest first: 0.04 s of a core each, and a job has two minutes."""
+
+_READINGS = 3
+"""How often two maps are read again that have changed while they were compared."""
+
+
+class MapMerging:
+    """Runs the jobs that merge maps; all calls block."""
+
+    def __init__(self, context: JobContext, recogniser: PlaceRecogniser, merger: MapMerger) -> None:
+        """`recogniser` verifies two places, `merger` compares two maps."""
+        self._context = context
+        self._recogniser = recogniser
+        self._merger = merger
+
+    def run(self, lease: Lease) -> None:
+        """Read both maps, find out whether they are one, commit the merge or say why not.
+
+        Raises DescriptorModelMismatch; Unavailable where the maps change all the time.
+        """
+        order = MergeOrder.of(lease.job.payload)
+        progress = Progress(self._context.transactions, self._context.clock, lease)
+        try:
+            for _ in range(_READINGS):
+                if self._ended(lease, order, progress):
+                    return
+        except OperationCancelled:
+            self._context.complete(lease, CANCELLED)
+            return
+        raise Unavailable("the maps were changed again and again while they were compared")
+
+    def _ended(self, lease: Lease, order: MergeOrder, progress: Progress) -> bool:
+        """One reading of both maps: whether the job has ended by it."""
+        progress("READ_MAPS")
+        tenant = lease.job.tenant
+        read = partial(read_merge, policy=self._context.policy, tenant=tenant, order=order)
+        task = self._context.transactions.read(read).result()
+        if task is None:
+            self._context.complete(lease, NOTHING_TO_MERGE)
+            return True
+        require_comparable(task.target.task.map, task.source.task.map)
+        proposal = self._proposal(tenant, order, task, progress)
+        failpoint("map_merge.after_evidence")
+        if order.validate_only or proposal.judgement.refusal is not None:
+            self._context.complete(lease, proposal.report())
+            return True
+        progress("COMMIT")
+        now, now_ns = self._context.clock.instant(), self._context.clock.wall_ns()
+        commit = MergeCommit(lease, proposal, self._context.policy, now, now_ns)
+        return self._context.transactions.write(commit).result()
+
+    def _proposal(self, tenant: TenantId, order: MergeOrder, task: MergeTask, progress: Progress) -> MergeProposal:
+        config = self._context.policy.for_map(task.target.task.map)
+        crossing = tuple(self._crossing(order, task, config, progress))
+        best, others = chosen(crossing)
+        numbers = {-place: one for place, one in enumerate(best, 1)}
+        loops = tuple(track_loop(number, one) for number, one in numbers.items())
+        spare = [track_loop(-place, one) for place, one in enumerate(others, 1 + len(best))]
+        progress("ALIGN")
+        sessions, scale = frozenset(task.source.sessions), config.scene_scale
+        aligned = self._merger.align(task.graph(loops), sessions, spare, scale, progress)
+        surfaces = self._surfaces(tenant, task, aligned, config.scene_scale, progress)
+        judgement = self._merger.judge(aligned, surfaces, config.scene_scale)
+        return MergeProposal(order, task, crossing, numbers, aligned, surfaces, judgement)
+
+    def _surfaces(
+        self, tenant: TenantId, task: MergeTask, aligned: AlignedMaps, scale: float, progress: Progress
+    ) -> SurfaceEvidence | None:
+        """The surfaces of both maps, where the loops say nothing against joining them."""
+        if self._merger.judge(aligned, None, scale).refusal is not None:
+            return None
+        tracks, anchors = aligned.optimised.tracks, set(task.target.sessions)
+        first, second = (placed_maps(side, tracks, anchors) for side in (task.target, task.source))
+        read = partial(self._context.blobs.get, tenant, NEURAL_MAP_BLOB)
+        return self._merger.compare(first, second, read, scale, progress)
+
+    def _crossing(
+        self, order: MergeOrder, task: MergeTask, config: PipelineConfig, progress: Progress
+    ) -> Iterator[CrossingLoop]:
+        """Candidates between both maps with the verdicts on them, the likest first."""
+        progress("FIND_CANDIDATES")
+        found = self._merger.candidates(task.target.places, task.source.places, CANDIDATES)
+        near = [(one, other, cosine) for one, other, cosine in found if _may_meet(order, task, one, other)][:MOST_PAIRS]
+        for done, (one, other, cosine) in enumerate(near):
+            progress("VERIFY_LOOPS", done, len(near))
+            match, query = task.target.submaps[one], task.source.submaps[other]
+            expected = _expected(order, task, one, other)
+            verdict = self._verified(query, match, cosine, config, expected)
+            yield CrossingLoop(query, match, cosine, _within(order, verdict, expected))
+
+    def _verified(
+        self, query: SubmapRecord, match: SubmapRecord, cosine: float, config: PipelineConfig, expected: Matrix4 | None
+    ) -> PairVerdict:
+        """What geometry says of two places; of several alignments that fit, the initial pose says which is meant."""
+        try:
+            places = [self._context.blobs.get(one.tenant, PLACE_BLOB, str(one.place_sha256)) for one in (query, match)]
+            verdict = self._recogniser.verify(places[0], places[1], cosine, config)
+            if _is_ambiguous(verdict) and expected is not None:
+                verdict = self._recogniser.verify(places[0], places[1], cosine, config, expected)
+        except DataLoss as error:
+            return RejectedLoop(RejectionReason.PLACE_LOST, message=error.message)
+        return verdict
+
+
+def _is_ambiguous(verdict: PairVerdict) -> bool:
+    return isinstance(verdict, RejectedLoop) and verdict.reason == RejectionReason.AMBIGUOUS
+
+
+def _expected(order: MergeOrder, task: MergeTask, match: int, query: int) -> Matrix4 | None:
+    """T_match_query by the initial pose, None without one or where it says nothing of the two."""
+    if order.near is None:
+        return None
+    T_map_match, T_source_query = task.target.T_map_submap[match], task.source.T_map_submap[query]
+    T_match_query = np.linalg.inv(T_map_match) @ order.near @ T_source_query if np.isfinite(T_map_match).all() else None
+    return T_match_query if T_match_query is not None and np.isfinite(T_match_query).all() else None
+
+
+def _may_meet(order: MergeOrder, task: MergeTask, match: int, query: int) -> bool:
+    """Whether the initial pose, if there is one, puts two submaps within its radius of each other."""
+    if order.near is None or order.radius_m is None:
+        return True
+    expected = _expected(order, task, match, query)
+    return expected is not None and bool(np.linalg.norm(expected[:3, 3]) <= order.radius_m)
+
+
+def _within(order: MergeOrder, verdict: PairVerdict, expected: Matrix4 | None) -> PairVerdict:
+    """The verdict, rejected where it puts the submaps farther than the radius from where the initial pose has them."""
+    if expected is None or order.radius_m is None or not isinstance(verdict, VerifiedLoop):
+        return verdict
+    apart = se3.inverse(expected) @ verdict.measurement.T_match_query
+    if np.linalg.norm(apart[:3, 3]) <= order.radius_m:
+        return verdict
+    return RejectedLoop(RejectionReason.FAR_FROM_INITIAL_POSE, verdict.measurement)

@@ -1,0 +1,177 @@
+"""Two maps as the database holds them, read for a merge of the second into the first."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from revisit.core.errors import BadField, DescriptorModelMismatch
+from revisit.core.geometry.se3 import Matrix4, pose_matrix
+from revisit.service.domain.identity import TenantId
+from revisit.service.domain.policy import Policy
+from revisit.service.domain.records import LoopRecord, MapRecord, SessionRecord, SubmapRecord
+from revisit.service.domain.states import SubmapState
+from revisit.service.features.graph.map_frames import frame_name
+from revisit.service.features.graph.reading import MapTask, read_task
+from revisit.service.features.graph.session_poses import PackedSubmaps
+from revisit.service.ports.map_merger import DescribedPlaces
+from revisit.service.ports.map_optimiser import MapGraph, SessionTrack, TrackLoop
+from revisit.service.ports.storage import require_descriptor
+from revisit.service.ports.transactions import UnitOfWork
+
+
+def require_comparable(target: MapRecord, source: MapRecord) -> None:
+    """Raises DescriptorModelMismatch where two maps were described by different models, BadField at different scales.
+
+    A map of which nothing is described yet has no model.
+    """
+    if target.scene_scale != source.scene_scale:
+        raise BadField("maps of different scene scales cannot be merged", field="source")
+    models = {one.model_version for one in (target, source)} - {None}
+    if len(models) > 1:
+        raise DescriptorModelMismatch(
+            f"map {target.map_id} was described by {target.model_version}, {source.map_id} by {source.model_version}"
+        )
+
+
+@dataclass(frozen=True)
+class MergeOrder:
+    """What was asked for: the payload of a job. `near` is T_map_source, roughly; loops farther from it do not count."""
+
+    map_id: str
+    source_map_id: str
+    source_session_id: str | None
+    validate_only: bool
+    near: Matrix4 | None
+    radius_m: float | None
+    actor: str
+
+    @classmethod
+    def of(cls, payload: dict[str, Any]) -> MergeOrder:
+        """From the payload of its job."""
+        near = payload["T_map_source"]
+        return cls(
+            map_id=str(payload["map_id"]),
+            source_map_id=str(payload["source_map_id"]),
+            source_session_id=payload["source_session_id"],
+            validate_only=bool(payload["validate_only"]),
+            near=None if near is None else np.array(pose_matrix(tuple(near))),
+            radius_m=payload["radius_m"],
+            actor=str(payload["actor"]),
+        )
+
+    @property
+    def source(self) -> str:
+        """The resource name of what is merged."""
+        whole = f"maps/{self.source_map_id}"
+        return whole if self.source_session_id is None else f"{whole}/sessions/{self.source_session_id}"
+
+
+@dataclass(frozen=True)
+class MapSide:
+    """One of the two maps: its graph, the sessions of its tracks by number, its described submaps in the order of these
+    tracks, and T_map_submap (n, 4, 4) of each in the frame of the oldest session, NaN where it lies in another one.
+    """
+
+    task: MapTask
+    sessions: dict[int, SessionRecord]
+    submaps: tuple[SubmapRecord, ...]
+    T_map_submap: NDArray[np.float64]
+
+    @property
+    def places(self) -> DescribedPlaces:
+        """The descriptors, for the search for candidates. Raises DataLoss where one is damaged."""
+        rows = [np.frombuffer(require_descriptor(one), dtype="<f4") for one in self.submaps]
+        numbers = np.array([one.session_number for one in self.submaps], dtype=np.int64)
+        storeys = tuple(self.sessions[one.session_number].storey for one in self.submaps)
+        return DescribedPlaces(np.stack(rows) if rows else np.zeros((0, 1), np.float32), numbers, storeys)
+
+
+@dataclass(frozen=True)
+class MergeTask:
+    """The map that grows, and what joins it."""
+
+    target: MapSide
+    source: MapSide
+
+    def graph(self, crossing: tuple[TrackLoop, ...]) -> MapGraph:
+        """Both with the loops between them; the map that grows gives the frame."""
+        first, second = self.target.task.graph, self.source.task.graph
+        anchors = [*sorted(self.target.sessions), *sorted(self.source.sessions)]
+        return replace(
+            first,
+            tracks=first.tracks + second.tracks,
+            loops=first.loops + second.loops + crossing,
+            anchors=tuple(anchors),
+        )
+
+
+def read_merge(uow: UnitOfWork, policy: Policy, tenant: TenantId, order: MergeOrder) -> MergeTask | None:
+    """Both maps as they are now, None where one is gone or has no described submap."""
+    target = _side(uow, policy, tenant, order.map_id, None, copied=False)
+    source = _side(uow, policy, tenant, order.source_map_id, order.source_session_id, copied=True)
+    return None if target is None or source is None else MergeTask(target, source)
+
+
+def _side(
+    uow: UnitOfWork, policy: Policy, tenant: TenantId, map_id: str, session_id: str | None, *, copied: bool
+) -> MapSide | None:
+    """One of both maps. Of what is to be `copied`, only what is described counts."""
+    task = read_task(uow, policy, tenant, map_id)
+    if task is None:
+        return None
+    equals: dict[str, Any] = {"map_id": map_id} if session_id is None else {"map_id": map_id, "session_id": session_id}
+    described = uow.submaps.find(tenant, state=SubmapState.DESCRIBED.value, **equals)
+    by_number = {one.number: one for one in described}
+    kept = _only(task, set(by_number)) if copied else task
+    placed = [
+        (by_number[number], T_map_submap)
+        for track, poses in zip(kept.graph.tracks, _placed(kept), strict=True)
+        for number, T_map_submap in zip(track.submaps, poses, strict=True)
+        if number in by_number
+    ]
+    sessions = {one.number: one for one in uow.sessions.find(tenant, **equals)}
+    present = {track.session_number: sessions[track.session_number] for track in kept.graph.tracks}
+    if not placed:
+        return None
+    return MapSide(kept, present, tuple(one for one, _ in placed), np.stack([T for _, T in placed]))
+
+
+def _only(task: MapTask, numbers: set[int]) -> MapTask:
+    """The task with some of its submaps, and the loops between these."""
+    tracks, ids = [], []
+    for track, session_id in zip(task.graph.tracks, task.session_ids, strict=True):
+        rows = [row for row, number in enumerate(track.submaps) if number in numbers]
+        if rows:
+            submaps = tuple(track.submaps[row] for row in rows)
+            tracks.append(SessionTrack(track.session_number, submaps, track.T_odom_submap[rows]))
+            ids.append(session_id)
+    kept = [row for row, loop in enumerate(task.graph.loops) if {loop.match, loop.query} <= numbers]
+    loops: tuple[LoopRecord, ...] = tuple(task.loops[row] for row in kept)
+    graph = replace(task.graph, tracks=tuple(tracks), loops=tuple(task.graph.loops[row] for row in kept))
+    return replace(task, graph=graph, session_ids=tuple(ids), loops=loops)
+
+
+def _placed(task: MapTask) -> list[NDArray[np.float64]]:
+    """T_map_submap (n, 4, 4) of each track in the oldest session's frame: by the version in force, else odometry.
+
+    NaN for the sessions that have another frame, or none.
+    """
+    before = {row.session_number: row for row in task.before}
+    first = task.graph.tracks[0].session_number if task.graph.tracks else 0
+    frame = before[first].frame if first in before else frame_name(first)
+    parts = []
+    for track in task.graph.tracks:
+        row, own = before.get(track.session_number), np.full((len(track.submaps), 4, 4), np.nan)
+        if row is not None and row.frame == frame:
+            known = PackedSubmaps.of(row.submaps)
+            T_later = pose_matrix(row.T_map_odom) @ track.T_odom_submap
+            places = [known.place_of(number) for number in track.submaps]
+            own = np.stack([T if at is None else known.T_map_submap[at] for at, T in zip(places, T_later, strict=True)])
+        elif row is None and track.session_number == first:
+            own = track.T_odom_submap
+        parts.append(own)
+    return parts

@@ -1,0 +1,242 @@
+"""The one transaction that merges: copies of sessions, loops, a version of the poses and the end of the job, together.
+
+The sessions of the source are copied, with the names of their blobs, so that the source stays as it is and everything
+that a map can do it can do with them. The copies are finished: a robot that drives on goes on in its own map.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+from revisit.core.geometry.se3 import pose_row
+from revisit.service.domain.errors import AlreadyExists
+from revisit.service.domain.identity import validated_id
+from revisit.service.domain.policy import Policy
+from revisit.service.domain.records import LoopRecord, MapMergeRecord, MapRecord, SessionRecord
+from revisit.service.domain.states import LoopEventKind, LoopState, MergeVerdict, SessionState
+from revisit.service.failpoints import failpoint
+from revisit.service.features.audit import calls as audit
+from revisit.service.features.audit.calls import AuditEntry
+from revisit.service.features.graph.reading import MapTask, with_evidence
+from revisit.service.features.loops.claims import verdict_evidence
+from revisit.service.features.loops.rows import Change, add_loop
+from revisit.service.features.merging.rules import MergeProposal
+from revisit.service.features.optimisation.rows import add_version, forget_versions, summary_of
+from revisit.service.ports.clock import Instant
+from revisit.service.ports.job_queue import Lease
+from revisit.service.ports.map_optimiser import OptimisedMap, OptimisedTrack
+from revisit.service.ports.storage import require_deleted
+from revisit.service.ports.transactions import UnitOfWork
+
+NOTHING_TO_MERGE = {"outcome": "one of the maps is gone, or holds no described submap"}
+"""The result of a job that had nothing to merge."""
+
+
+@dataclass(frozen=True)
+class _Copies:
+    """What the copies in the map are called: numbers of sessions, submaps and loops by those of the originals."""
+
+    sessions: dict[int, SessionRecord] = field(default_factory=dict)
+    submaps: dict[int, int] = field(default_factory=dict)
+    loops: dict[int, LoopRecord] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class MergeCommit:
+    """Commits a proposal; the policy says how many versions stay, beside those that merges lead back to."""
+
+    lease: Lease
+    proposal: MergeProposal
+    policy: Policy
+    now: Instant
+    now_ns: int
+
+    def __call__(self, uow: UnitOfWork) -> bool:
+        """Commit, or change nothing and return False where one of the maps has changed since it was read.
+
+        Raises StaleLease where another worker holds the job, AlreadyExists where a session cannot get a name.
+        """
+        uow.queue.require(self.lease)
+        current = self._unchanged(uow)
+        if current is None:
+            return False
+        copies = self._copy(uow, current)
+        failpoint("map_merge.after_rows")
+        report = self._store(uow, current, copies)
+        forget_versions(uow, current.tenant, current.map_id, current.map_version + 1 - self.policy.map_versions_kept)
+        uow.queue.complete(self.lease, report, self.now, self.now_ns)
+        return True
+
+    def _unchanged(self, uow: UnitOfWork) -> MapRecord | None:
+        """The map that grows, None where one of both has lost a part, got another version, or is gone."""
+        records = []
+        for side in (self.proposal.task.target, self.proposal.task.source):
+            known = side.task.map
+            current = uow.maps.get(known.tenant, known.map_id)
+            same = current is not None and current.number == known.number
+            if not same or current is None or current.graph_edits != known.graph_edits:
+                return None
+            records.append((current, known))
+        (target, as_read), _ = records
+        return target if target.map_version == as_read.map_version and self._has_all(uow) else None
+
+    def _has_all(self, uow: UnitOfWork) -> bool:
+        """Whether nothing was deleted that the copies will name: a submap whose row is there has its blobs."""
+        source = self.proposal.task.source
+        present = uow.submaps.distinct(source.task.map.tenant, "number", map_id=source.task.map.map_id)
+        return all(one.number in present for one in source.submaps)
+
+    # -- rows
+
+    def _copy(self, uow: UnitOfWork, target: MapRecord) -> _Copies:
+        copies = _Copies()
+        for number, session in sorted(self.proposal.task.source.sessions.items()):
+            copies.sessions[number] = uow.sessions.add(self._session(uow, target, session))
+            self._copy_scans(uow, session, copies.sessions[number])
+        self._copy_submaps(uow, target, copies)
+        for loop in with_evidence(uow, self.proposal.task.source.task.loops):
+            copies.loops[loop.number] = self._copy_loop(uow, target, loop, copies)
+        for number, record in self._crossing(target, copies):
+            change = Change(LoopEventKind.VERIFIED, self.now_ns, details=self._origin())
+            copies.loops[number] = add_loop(uow, record, change)
+        return copies
+
+    def _session(self, uow: UnitOfWork, target: MapRecord, session: SessionRecord) -> SessionRecord:
+        require_deleted(uow, target.tenant, target.map_id, session.session_id)
+        taken = uow.sessions.get(target.tenant, target.map_id, session.session_id) is not None
+        name = f"{session.map_id}.{session.session_id}" if taken else session.session_id
+        require_deleted(uow, target.tenant, target.map_id, name)
+        if uow.sessions.get(target.tenant, target.map_id, validated_id(name, "session_id")) is not None:
+            raise AlreadyExists(f"map {target.map_id} has a session {name} already")
+        finished = self.now_ns if session.finished_at_ns is None else session.finished_at_ns
+        return replace(
+            session,
+            map_id=target.map_id,
+            session_id=name,
+            state=SessionState.FINISHED.value,
+            finished_at_ns=finished,
+            number=0,
+        )
+
+    def _copy_scans(self, uow: UnitOfWork, session: SessionRecord, copy: SessionRecord) -> None:
+        for scan in uow.scans.find(session.tenant, map_id=session.map_id, session_id=session.session_id):
+            uow.scans.add(replace(scan, map_id=copy.map_id, session_id=copy.session_id, number=0))
+
+    def _copy_submaps(self, uow: UnitOfWork, target: MapRecord, copies: _Copies) -> None:
+        for submap in self.proposal.task.source.submaps:
+            of = copies.sessions[submap.session_number]
+            own = replace(submap, map_id=of.map_id, session_id=of.session_id, session_number=of.number, number=0)
+            copies.submaps[submap.number] = uow.submaps.add(own).number
+            uow.changes.record_described(target.tenant, target.number, copies.submaps[submap.number])
+
+    def _copy_loop(self, uow: UnitOfWork, target: MapRecord, loop: LoopRecord, copies: _Copies) -> LoopRecord:
+        query, match = copies.submaps[loop.query_number], copies.submaps[loop.match_number]
+        ids = {one.number: one.session_number for one in self.proposal.task.source.submaps}
+        own = replace(
+            loop,
+            map_id=target.map_id,
+            loop_id=f"loop-{query}-{match}-{loop.number}",
+            query_number=query,
+            match_number=match,
+            query_session_id=copies.sessions[ids[loop.query_number]].session_id,
+            match_session_id=copies.sessions[ids[loop.match_number]].session_id,
+            graph_state=None,
+            manual=False,
+            number=0,
+        )
+        details = {**self._origin(), "copy_of": f"maps/{loop.map_id}/loopClosures/{loop.loop_id}"}
+        return add_loop(uow, own, Change(LoopEventKind.VERIFIED, self.now_ns, details=details))
+
+    def _crossing(self, target: MapRecord, copies: _Copies) -> Iterator[tuple[int, LoopRecord]]:
+        for number, found in self.proposal.numbers.items():
+            of = copies.sessions[found.query.session_number]
+            own = replace(
+                found.query,
+                map_id=of.map_id,
+                session_id=of.session_id,
+                number=copies.submaps[found.query.number],
+            )
+            measured, rules = found.verdict.measurement, self.policy.for_map(target).verification
+            yield (
+                number,
+                LoopRecord.between(
+                    own,
+                    found.match,
+                    loop_id=f"loop-{own.number}-{found.match.number}",
+                    state=LoopState.ACCEPTED.value,
+                    reason=None,
+                    similarity=found.similarity,
+                    score=0.0 if measured is None else float(measured.score),
+                    T_match_query=None if measured is None else pose_row(measured.T_match_query),
+                    evidence={**verdict_evidence(found.verdict, rules), "model_version": target.model_version},
+                    created_at_ns=self.now_ns,
+                ),
+            )
+
+    def _origin(self) -> dict[str, Any]:
+        return {"merge": f"maps/{self.proposal.order.map_id}/merges/{self.lease.job.operation_id}"}
+
+    # -- the version
+
+    def _store(self, uow: UnitOfWork, current: MapRecord, copies: _Copies) -> dict[str, Any]:
+        """Add the version, the merge and the entry of the audit log; the result of the job."""
+        task, optimised = self._renumbered(copies)
+        job, tenant, map_id = self.lease.job, current.tenant, current.map_id
+        summary = summary_of(task, optimised.tracks, optimised)
+        version = add_version(uow, current, task, optimised, summary, job.operation_id, self.now_ns)
+        sessions = {number: copy.session_id for number, copy in copies.sessions.items()}
+        report = {
+            **self.proposal.report(),
+            "verdict": MergeVerdict.MERGED.value,
+            "version": f"maps/{map_id}/versions/{version}",
+            "merge": f"maps/{map_id}/merges/{job.operation_id}",
+            "sessions": [f"maps/{map_id}/sessions/{name}" for name in sessions.values()],
+        }
+        uow.map_merges.add(
+            MapMergeRecord(
+                tenant=tenant,
+                map_id=map_id,
+                merge_id=job.operation_id,
+                source=self.proposal.order.source,
+                version_before=current.map_version,
+                version=version,
+                sessions=tuple(sessions.values()),
+                report=report,
+                created_at_ns=self.now_ns,
+            )
+        )
+        subject, detail = f"maps/{map_id}", {"source": self.proposal.order.source, "version": version}
+        audit.append(uow, self.now_ns, AuditEntry(tenant, self.proposal.order.actor, "map_merged", subject, detail))
+        failpoint("map_merge.before_end")
+        return report
+
+    def _renumbered(self, copies: _Copies) -> tuple[MapTask, OptimisedMap]:
+        """The graph and its solution with the numbers that the copies have."""
+        both, optimised = self.proposal.task, self.proposal.aligned.optimised
+        target, source = both.target.task, both.source.task
+        tracks = [replace(
+            track, session_number=copies.sessions[track.session_number].number,
+            submaps=tuple(copies.submaps[number] for number in track.submaps),
+        ) for track in source.graph.tracks]  # fmt: skip
+        ids = [copies.sessions[track.session_number].session_id for track in source.graph.tracks]
+        graph = replace(target.graph, tracks=target.graph.tracks + tuple(tracks))
+        loops = tuple(replace(one, number=_number(one.number, copies)) for one in optimised.loops)
+        solved = tuple(_solved(track, copies) for track in optimised.tracks)
+        task = replace(
+            target, graph=graph, session_ids=target.session_ids + tuple(ids),
+            loops=target.loops + tuple(copies.loops.values()),
+        )  # fmt: skip
+        return task, replace(optimised, tracks=solved, loops=loops)
+
+
+def _number(loop: int, copies: _Copies) -> int:
+    return copies.loops[loop].number if loop in copies.loops else loop
+
+
+def _solved(track: OptimisedTrack, copies: _Copies) -> OptimisedTrack:
+    def own(number: int) -> int:
+        return copies.sessions[number].number if number in copies.sessions else number
+
+    return replace(track, session_number=own(track.session_number), anchor=own(track.anchor))

@@ -1,0 +1,83 @@
+"""Dead letters: operations that have failed for good. They are kept with their reason until somebody queues them again.
+
+There is no second list beside the operations: `Operations.list` with the state FAILED is the list of dead letters, an
+operation's `failure` the reason, and here is the way back.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import partial
+
+from revisit.core.errors import BadField
+from revisit.service.capacity.admission import Admission
+from revisit.service.capacity.backlog import QUERIES, Backlog
+from revisit.service.domain.errors import NotFound
+from revisit.service.domain.identity import SubmapKey, TenantId
+from revisit.service.domain.policy import Policy
+from revisit.service.domain.records import JobRecord, SubmapRecord
+from revisit.service.domain.states import OperationKind, OperationState, SubmapState
+from revisit.service.features.resources.views import OperationView, operation_view
+from revisit.service.ports.storage import Storage, require_job
+from revisit.service.ports.transactions import UnitOfWork
+
+
+class DeadLetters:
+    """Queue failed operations again."""
+
+    def __init__(self, storage: Storage, admission: Admission, backlog: Backlog, policy: Policy) -> None:
+        """`policy` says how many attempts a job has."""
+        self._storage = storage
+        self._admission = admission
+        self._backlog = backlog
+        self._policy = policy
+
+    async def retry(self, tenant: TenantId, operation_id: str) -> OperationView:
+        """Queue failed work again, with as many attempts as new work; what has not failed is left alone.
+
+        Raises NotFound, also where its submap was deleted; BadField for a search, whose cloud is not kept;
+        WorkersBusy, Draining.
+        """
+        self._admission.require_running()
+        return await self._storage.write(partial(self._retry, tenant=tenant, operation_id=operation_id))
+
+    def _retry(self, uow: UnitOfWork, tenant: TenantId, operation_id: str) -> OperationView:
+        job = require_job(uow, tenant, operation_id)
+        if job.state != OperationState.FAILED:
+            return operation_view(job)
+        if job.kind in QUERIES:
+            raise BadField("the cloud of a search is not kept: ask again instead", field="name")
+        submap = _subject(uow, job) if job.kind == OperationKind.DESCRIBE_SUBMAP else None
+        if submap is None and job.kind == OperationKind.DESCRIBE_SUBMAP:
+            raise NotFound(f"the submap of operation {operation_id} was deleted")
+        self._backlog.require_space(uow, tenant)
+        queued = replace(
+            job,
+            state=OperationState.QUEUED.value,
+            max_attempts=job.counted_attempts + self._policy.max_attempts,
+            not_before_ms=0,
+            failure_code=None,
+            failure_message=None,
+            finished_at_ns=None,
+            cancel_requested=False,
+        )
+        uow.jobs.replace(queued)
+        if submap is not None:
+            queued_again = replace(submap, state=SubmapState.QUEUED.value, failure_code=None, failure_message=None)
+            uow.submaps.replace(queued_again)
+        return operation_view(queued)
+
+
+def mark_subject_failed(uow: UnitOfWork, job: JobRecord, code: str, message: str) -> None:
+    """Mark the submap as failed: its description has failed for good."""
+    submap = _subject(uow, job) if job.kind == OperationKind.DESCRIBE_SUBMAP else None
+    if submap is not None:
+        failed = SubmapState.FAILED.value
+        uow.submaps.replace(replace(submap, state=failed, failure_code=code, failure_message=message))
+
+
+def _subject(uow: UnitOfWork, job: JobRecord) -> SubmapRecord | None:
+    """The submap that a job describes, unless it was deleted (and maybe posted again, with a job of its own)."""
+    key = SubmapKey(**job.payload)
+    submap = uow.submaps.get(job.tenant, key.map_id, key.session_id, key.submap_id)
+    return submap if submap is not None and submap.operation_id == job.operation_id else None

@@ -1,0 +1,71 @@
+"""Runs leased jobs by their kind and commits how they end."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from functools import partial
+
+import structlog
+
+from revisit.core.errors import ErrorCode, RevisitError
+from revisit.service.domain.errors import StaleLease, StorageFull, Unavailable
+from revisit.service.domain.states import OperationKind
+from revisit.service.failpoints import failpoint
+from revisit.service.features.operations.dead_letters import mark_subject_failed
+from revisit.service.ports.job_context import JobContext
+from revisit.service.ports.job_queue import Lease
+from revisit.service.ports.tracing import current_request
+from revisit.service.ports.transactions import UnitOfWork
+
+log = structlog.get_logger(__name__)
+
+Jobs = Mapping[OperationKind, Callable[[Lease], None]]
+"""The job of each kind: it commits its own good end."""
+
+
+class JobRunner:
+    """Runs leased jobs in a worker process; all calls block."""
+
+    def __init__(self, context: JobContext, jobs: Jobs) -> None:
+        """`jobs` has every kind."""
+        self._context = context
+        self._jobs = jobs
+
+    def run(self, lease: Lease) -> None:
+        """Run a job and commit its end, good or bad. Raises only what storage raises while the end is committed."""
+        try:
+            failpoint("job.after_claim")
+            self._jobs[OperationKind(lease.job.kind)](lease)
+            failpoint("job.after_commit")
+        except StaleLease:
+            log.warning("result_refused", operation=lease.job.operation_id, token=lease.job.lease_token)
+        except RevisitError as error:
+            # A store that is full, or does not answer, says nothing about the job.
+            of_storage = isinstance(error, Unavailable | StorageFull)
+            self._fail(lease, error.code, error.message, retry=of_storage, innocent=of_storage)
+        except MemoryError:
+            self.fail(lease, "the job needs more memory than a worker may take")
+        except Exception as error:  # whatever the method raises must not end the worker
+            log.exception("job_crashed", operation=lease.job.operation_id)
+            self.fail(lease, f"{type(error).__name__}: {error}"[:500])
+
+    def fail(self, lease: Lease, message: str) -> None:
+        """End this run of a job: back to the queue, or failed for good after its last attempt."""
+        self._fail(lease, ErrorCode.INTERNAL, message, retry=True)
+
+    def _fail(self, lease: Lease, code: ErrorCode, message: str, *, retry: bool, innocent: bool = False) -> None:
+        end = partial(self._store_failure, lease=lease, code=code, message=message, retry=retry, innocent=innocent)
+        failpoint("job.before_failure")
+        current_request().span.fail(f"{code}: {message}")
+        log.warning("job_failed", operation=lease.job.operation_id, code=code, reason=message, retry=retry)
+        try:
+            self._context.transactions.write(end).result()
+        except StaleLease:
+            log.warning("failure_refused", operation=lease.job.operation_id, token=lease.job.lease_token)
+
+    def _store_failure(
+        self, uow: UnitOfWork, lease: Lease, code: ErrorCode, message: str, *, retry: bool, innocent: bool
+    ) -> None:
+        now, now_ns = self._context.clock.instant(), self._context.clock.wall_ns()
+        if uow.queue.fail(lease, code, message, now, now_ns, retry=retry, innocent=innocent):
+            mark_subject_failed(uow, lease.job, code, message)

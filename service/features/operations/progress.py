@@ -1,0 +1,43 @@
+"""How far a run has come, told to whoever asks for its operation; and how a run learns that it is to end."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import Any
+
+from revisit.service.ports.clock import Clock
+from revisit.service.ports.job_queue import Lease
+from revisit.service.ports.transactions import Transactions, UnitOfWork
+
+TOLD_EVERY_MS = 500
+"""Each report is a write that other writers wait for."""
+
+
+class OperationCancelled(Exception):  # an end that was asked for is no error
+    """Somebody has asked the run to end."""
+
+
+class Progress:
+    """Reports of one run, stored at each new stage and now and then within it."""
+
+    def __init__(self, transactions: Transactions, clock: Clock, lease: Lease) -> None:
+        """`lease` is that of the run."""
+        self._transactions = transactions
+        self._clock = clock
+        self._lease = lease
+        self._stage = ""
+        self._told_ms = 0
+
+    def __call__(self, stage: str, done: int = 0, total: int = 1) -> None:
+        """`done` of `total` parts of a stage. Raises OperationCancelled, StaleLease."""
+        now_ms = self._clock.instant().ms
+        if stage == self._stage and now_ms < self._told_ms + TOLD_EVERY_MS:
+            return
+        self._stage, self._told_ms = stage, now_ms
+        told: dict[str, Any] = {"stage": stage, "done": done, "total": total}
+        if not self._transactions.write(partial(_report, lease=self._lease, told=told)).result():
+            raise OperationCancelled
+
+
+def _report(uow: UnitOfWork, lease: Lease, told: dict[str, Any]) -> bool:
+    return uow.queue.report(lease, told)

@@ -1,0 +1,1 @@
+"""Versions of a map: pose graph optimisation, revert."""

@@ -1,0 +1,78 @@
+"""Optimising a map: what a worker does with the job, and how it comes into the queue."""
+
+from __future__ import annotations
+
+from functools import partial
+
+from revisit.service.domain.errors import Unavailable
+from revisit.service.domain.states import LoopState
+from revisit.service.failpoints import failpoint
+from revisit.service.features.corrections.job import EarlyCorrections
+from revisit.service.features.graph.reading import read_task
+from revisit.service.features.operations.progress import OperationCancelled, Progress
+from revisit.service.features.optimisation.rows import MAP_DELETED, VersionCommit
+from revisit.service.ports.job_context import JobContext
+from revisit.service.ports.job_queue import CANCELLED, Lease
+from revisit.service.ports.map_optimiser import MapOptimiser
+from revisit.service.ports.recogniser import PlaceKeeper
+
+NO_SUBMAPS = {"outcome": "the map holds no submaps"}
+"""The result of a job that had nothing to optimise."""
+
+LOOPS_A_DELAY = 500
+"""For every so many accepted loops of a map new ones settle for one more delay before it is optimised by itself: the
+larger a map, the longer it takes (docs/decisions/0090)."""
+
+LARGE_MAP_LOOPS = 2000
+"""Accepted loops from which on optimising a map takes so much memory, and so long, that room is made for it."""
+
+_READINGS = 5
+"""How often a graph is read again that has lost a part while it was optimised."""
+
+
+class MapOptimisation:
+    """Runs the jobs that optimise maps; all calls block."""
+
+    def __init__(
+        self, context: JobContext, optimiser: MapOptimiser, places: PlaceKeeper, early: EarlyCorrections
+    ) -> None:
+        """`optimiser` places the sessions to each other; `places` and `early` hold memory that a large map needs."""
+        self._context = context
+        self._optimiser = optimiser
+        self._places = places
+        self._early = early
+
+    def run(self, lease: Lease) -> None:
+        """Read the graph, optimise it, commit a version; the loops that came in meanwhile correct that version.
+
+        Raises Unavailable where the graph changes all the time.
+        """
+        tenant, map_id = lease.job.tenant, str(lease.job.payload["map_id"])
+        self._early.release(tenant, map_id)
+        accepted = {"map_id": map_id, "state": LoopState.ACCEPTED.value}
+        if self._context.transactions.read(lambda uow: uow.loops.count(tenant, **accepted)).result() >= LARGE_MAP_LOOPS:
+            self._places.let_go()
+        try:
+            self._run(lease, Progress(self._context.transactions, self._context.clock, lease))
+        except OperationCancelled:
+            self._context.complete(lease, CANCELLED)
+        self._early.update(tenant, map_id)
+
+    def _run(self, lease: Lease, progress: Progress) -> None:
+        map_id = str(lease.job.payload["map_id"])
+        read = partial(read_task, policy=self._context.policy, tenant=lease.job.tenant, map_id=map_id)
+        for _ in range(_READINGS):
+            progress("READ_MAP")
+            task = self._context.transactions.read(read).result()
+            if task is None or not task.graph.tracks:
+                self._context.complete(lease, MAP_DELETED if task is None else NO_SUBMAPS)
+                return
+            failpoint("optimise.after_read")
+            optimised = self._optimiser.optimise(task.graph, progress)
+            failpoint("optimise.after_solution")
+            progress("COMMIT")
+            now, now_ns = self._context.clock.instant(), self._context.clock.wall_ns()
+            commit = VersionCommit(lease, task, optimised, self._context.policy, now, now_ns)
+            if self._context.transactions.write(commit).result():
+                return
+        raise Unavailable("the map was changed again and again while it was optimised")

@@ -1,0 +1,1 @@
+"""Description of submaps and verification of their loops."""

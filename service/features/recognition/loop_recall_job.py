@@ -1,0 +1,286 @@
+"""The job that tests rejected loops again after a new version of their map: recall.
+
+Geometry rejects some pairs because registration started in the wrong place. Once a map has converged, it says how two
+submaps lie to each other. Pairs that it puts near each other are registered again from there. The usual gates decide.
+"""
+
+from __future__ import annotations
+
+import heapq
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from revisit.core.geometry import se3
+from revisit.core.geometry.se3 import Matrix4, pose_matrix, pose_row
+from revisit.core.pair_verdict import PairVerdict, RejectedLoop, RejectionReason, VerifiedLoop
+from revisit.service.domain.identity import TenantId
+from revisit.service.domain.policy import Policy
+from revisit.service.domain.records import LoopRecord, MapRecord, SubmapRecord
+from revisit.service.domain.states import LoopEventKind, LoopState
+from revisit.service.failpoints import failpoint
+from revisit.service.features.corrections.job import EarlyCorrections
+from revisit.service.features.graph.map_frames import LoopInMap, MapFrames
+from revisit.service.features.graph.posting import optimise_soon
+from revisit.service.features.index.place_memory import RecalledPlace
+from revisit.service.features.loops.claims import rules_of, verdict_evidence
+from revisit.service.features.loops.rows import Change, LoopStanding, change_loop, decided_by_person
+from revisit.service.features.operations.progress import OperationCancelled, Progress
+from revisit.service.features.recognition.comparison import Comparison
+from revisit.service.ports.clock import Instant
+from revisit.service.ports.job_context import JobContext
+from revisit.service.ports.job_queue import CANCELLED, Lease
+from revisit.service.ports.recogniser import PlaceRecogniser
+from revisit.service.ports.transactions import Transactions, UnitOfWork
+
+RECALL = "recall"
+"""The member of a loop's evidence that says from which version of the map it was tested again, and with what result."""
+
+RECALLED_REASONS = frozenset({"NO_COMMON_REGION", "DEGENERATE_ALIGNMENT", "IMPLAUSIBLE_TILT", "LOW_OVERLAP",
+                              "SEEN_THROUGH", "LOW_SCORE"})  # fmt: skip
+"""Reasons that a wrong start of registration can have. Not AMBIGUOUS, which other loops decide (docs/decisions/0161),
+nor what is so from any start."""
+
+MOST_RECALLED = 50
+"""Loops, at most, that one version of a map gives another chance."""
+
+MOST_MOVED_M = 3.0
+"""In a scene of scale 1: a pose farther from what the map says is not what was looked for. Also the most that a map may
+not know of how two submaps lie, as one standard deviation."""
+
+SAME_M = 0.5
+SAME_RAD = np.radians(2.0)
+"""A pair whose relative pose has moved by less since it was tested is not tested again."""
+
+_PAGE = 500
+
+
+@dataclass(frozen=True)
+class RecalledLoop:
+    """A rejected loop, its two submaps, how the map says they lie, and the verdict from there once it is known."""
+
+    map: MapRecord
+    record: LoopRecord
+    query: SubmapRecord
+    match: SubmapRecord
+    T_match_query: Matrix4
+    verdict: PairVerdict | None = None
+
+
+@dataclass(frozen=True)
+class _Found:
+    map: MapRecord
+    record: LoopRecord
+    T_match_query: Matrix4
+
+
+class LoopRecallJob:
+    """Registers rejected loops again from where the new version of their map has their submaps; all calls block."""
+
+    def __init__(self, context: JobContext, recogniser: PlaceRecogniser, early: EarlyCorrections) -> None:
+        """`early` corrects a map by the loops that hold."""
+        self._context = context
+        self._recogniser = recogniser
+        self._comparison = Comparison(context.blobs, recogniser)
+        self._early = early
+
+    def run(self, lease: Lease) -> None:
+        """Test the loops of a map and store the verdicts; nothing where somebody cancels the operation."""
+        context, tenant, map_id = self._context, lease.job.tenant, str(lease.job.payload["map_id"])
+        try:
+            tested = self._tested(tenant, map_id, Progress(context.transactions, context.clock, lease))
+        except OperationCancelled:
+            context.complete(lease, CANCELLED)
+            return
+        failpoint("recall.before_commit")
+        now, now_ns = context.clock.instant(), context.clock.wall_ns()
+        commit = RecallCommit(lease, self._recogniser.model_version, context.policy, tested, now, now_ns)
+        if context.transactions.write(commit).result():
+            self._early.update(tenant, map_id)
+
+    def _tested(self, tenant: TenantId, map_id: str, progress: Progress) -> list[RecalledLoop]:
+        loops = loops_to_recall(self._context.transactions, self._context.policy, tenant, map_id, progress)
+        tested = []
+        for done, loop in enumerate(loops):
+            progress("VERIFY_LOOPS", done, len(loops))
+            tested.append(self._recalled(loop))
+        return tested
+
+    def _recalled(self, loop: RecalledLoop) -> RecalledLoop:
+        config, match = self._context.policy.for_map(loop.map), RecalledPlace(loop.match, loop.record.similarity)
+        place = self._comparison.place_of(loop.query)
+        verdict = self._comparison.verify(place, match, config, loop.T_match_query, near_decides=False)
+        return kept_near(loop, verdict)
+
+
+def loops_to_recall(
+    transactions: Transactions, policy: Policy, tenant: TenantId, map_id: str, progress: Progress
+) -> list[RecalledLoop]:
+    """The loops of a map that its version in force gives another chance, the most similar first.
+
+    Read page by page, so that a large map holds up nobody.
+    """
+    found: Iterable[_Found] = _found(transactions, policy, tenant, map_id, progress)
+    best = heapq.nsmallest(
+        2 * MOST_RECALLED, found, key=lambda one: (-one.record.similarity, -one.record.score, one.record.number)
+    )
+    return transactions.read(partial(_undecided, tenant=tenant, best=best)).result()[:MOST_RECALLED]
+
+
+def _found(
+    transactions: Transactions, policy: Policy, tenant: TenantId, map_id: str, progress: Progress
+) -> Iterator[_Found]:
+    after: int | None = 0
+    while after is not None:
+        progress("READ_LOOPS")
+        read = partial(_page, policy=policy, tenant=tenant, map_id=map_id, after=after)
+        page, after = transactions.read(read).result()
+        yield from page
+
+
+def _page(
+    uow: UnitOfWork, policy: Policy, tenant: TenantId, map_id: str, after: int
+) -> tuple[list[_Found], int | None]:
+    """Those of a page of rejected loops that are to be tested again; where the next begins, None after the last."""
+    record = uow.maps.get(tenant, map_id)
+    if record is None or not record.map_version:
+        return [], None
+    rejected = uow.loops.find(tenant, after=after, limit=_PAGE, map_id=map_id, state=LoopState.REJECTED.value)
+    wanted = [loop for loop in rejected if loop.reason in RECALLED_REASONS and not loop.manual]
+    frames = MapFrames(uow, tenant, map_id)
+    placed = frames.loops(wanted)
+    within_m = policy.for_map(record).submap.tau
+    found = [
+        _Found(record, loop, T_match_query)
+        for loop in wanted
+        if loop.number in placed
+        and (T_match_query := _between(placed[loop.number])) is not None
+        and np.linalg.norm(T_match_query[:3, 3]) <= within_m
+        and _is_known(frames, loop, record)
+        and not _was_tested(loop, T_match_query)
+    ]
+    return found, rejected[-1].number if len(rejected) == _PAGE else None
+
+
+def _between(placed: LoopInMap) -> Matrix4:
+    """T_match_query by the map."""
+    return np.asarray(se3.inverse(pose_matrix(placed.match.T_map)) @ pose_matrix(placed.query.T_map))
+
+
+def _is_known(frames: MapFrames, loop: LoopRecord, record: MapRecord) -> bool:
+    """Whether the map knows well enough how the two submaps lie."""
+    spread_m = frames.spread_m(loop)
+    return spread_m is not None and spread_m <= MOST_MOVED_M * record.scene_scale
+
+
+def _was_tested(loop: LoopRecord, T_match_query: Matrix4) -> bool:
+    """Whether a loop was tested again from about there."""
+    told = loop.evidence.get(RECALL)
+    return told is not None and _apart(np.array(told["T_match_query"]).reshape(4, 4), T_match_query)[0]
+
+
+def _apart(first: Matrix4, second: Matrix4) -> tuple[bool, float]:
+    """Whether two poses are the same as far as a test goes, and how many metres lie between them."""
+    moved = np.asarray(se3.inverse(first) @ second)
+    distance_m = float(np.linalg.norm(moved[:3, 3]))
+    angle = float(np.arccos(np.clip(0.5 * (np.trace(moved[:3, :3]) - 1.0), -1.0, 1.0)))
+    return distance_m < SAME_M and angle < SAME_RAD, distance_m
+
+
+def _undecided(uow: UnitOfWork, tenant: TenantId, best: list[_Found]) -> list[RecalledLoop]:
+    """Those that no person has ever decided on, with their submaps."""
+    numbers = {number for one in best for number in (one.record.query_number, one.record.match_number)}
+    submaps = uow.submaps.numbered(tenant, sorted(numbers))
+    return [
+        RecalledLoop(
+            one.map,
+            one.record,
+            submaps[one.record.query_number],
+            submaps[one.record.match_number],
+            one.T_match_query,
+        )
+        for one in best
+        if {one.record.query_number, one.record.match_number} <= submaps.keys()
+        and not decided_by_person(uow, one.record)
+    ]
+
+
+def _as_read(loop: LoopRecord) -> tuple[int, LoopStanding, Any]:
+    """What must not have changed meanwhile: which loop it is, its standing, and what an earlier test has told."""
+    return loop.number, LoopStanding.of(loop), loop.evidence.get(RECALL)
+
+
+def kept_near(loop: RecalledLoop, verdict: PairVerdict) -> RecalledLoop:
+    """A loop with its verdict; what was accepted far from where the map has it is rejected all the same."""
+    if isinstance(verdict, VerifiedLoop):
+        _, moved_m = _apart(loop.T_match_query, verdict.measurement.T_match_query)
+        if moved_m > MOST_MOVED_M * loop.map.scene_scale:
+            verdict = RejectedLoop(RejectionReason.FAR_FROM_MAP, verdict.measurement)
+    return replace(loop, verdict=verdict)
+
+
+@dataclass(frozen=True)
+class RecallCommit:
+    """The one transaction that ends a job of recall."""
+
+    lease: Lease
+    model_version: str
+    policy: Policy
+    tested: list[RecalledLoop]
+    now: Instant
+    now_ns: int
+
+    def __call__(self, uow: UnitOfWork) -> int:
+        """Store what came of each loop that is still as it was read; how many were accepted.
+
+        Raises StaleLease where another worker holds the job.
+        """
+        uow.queue.require(self.lease)
+        accepted = sum(self._store(uow, one) for one in self.tested)
+        job = self.lease.job
+        if accepted:
+            optimise_soon(uow, job.tenant, str(job.payload["map_id"]), self.policy, self.now, self.now_ns)
+        result = {"tested": len(self.tested), "accepted": accepted}
+        uow.queue.complete(self.lease, result, self.now, self.now_ns)
+        return accepted
+
+    def _store(self, uow: UnitOfWork, one: RecalledLoop) -> bool:
+        """Accept a loop, or note that it was tested; whether it was accepted."""
+        verdict, known = one.verdict, one.record
+        loop = uow.loops.get(known.tenant, known.map_id, known.loop_id)
+        if verdict is None or loop is None or _as_read(loop) != _as_read(known) or decided_by_person(uow, known):
+            return False
+        told = {**loop.evidence, RECALL: self._told(one, verdict)}
+        found = verdict_evidence(verdict, self.policy.for_map(one.map).verification)
+        fields: dict[str, Any] = {"evidence": told}
+        if isinstance(verdict, VerifiedLoop):
+            fields = {
+                "evidence": {**told, **found, "model_version": self.model_version},
+                "state": LoopState.ACCEPTED.value,
+                "reason": None,
+                "score": float(verdict.measurement.score),
+                "T_match_query": pose_row(verdict.measurement.T_match_query),
+            }
+        change_loop(uow, loop, self._change(one, verdict, found), **fields)
+        return isinstance(verdict, VerifiedLoop)
+
+    def _told(self, one: RecalledLoop, verdict: PairVerdict) -> dict[str, Any]:
+        return {
+            "map_version": one.map.map_version,
+            "T_match_query": list(pose_row(one.T_match_query)),
+            "reason": verdict.reason.value if isinstance(verdict, RejectedLoop) else None,
+            "before": one.record.reason,
+        }
+
+    def _change(self, one: RecalledLoop, verdict: PairVerdict, found: dict[str, Any]) -> Change:
+        return Change(
+            LoopEventKind.VERIFIED,
+            self.now_ns,
+            actor=f"map version {one.map.map_version}",
+            note=f"tested again from where the map has the two submaps, after {one.record.reason}",
+            map_version=one.map.map_version,
+            details={"model_version": self.model_version, **rules_of(found), RECALL: self._told(one, verdict)},
+        )

@@ -1,0 +1,133 @@
+"""The job that verifies a loop which a person has proposed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from revisit.core.geometry.se3 import Matrix4, pose_matrix, pose_row
+from revisit.core.pair_verdict import PairVerdict, RejectedLoop, VerifiedLoop
+from revisit.service.domain.policy import Policy
+from revisit.service.domain.records import JobRecord, LoopRecord, MapRecord, SubmapRecord
+from revisit.service.domain.states import LoopEventKind, LoopState
+from revisit.service.features.corrections.job import EarlyCorrections
+from revisit.service.features.graph.posting import optimise_soon
+from revisit.service.features.index.place_memory import RecalledPlace
+from revisit.service.features.loops.claims import rules_of, verdict_evidence
+from revisit.service.features.loops.rows import Change, change_loop
+from revisit.service.features.recognition.comparison import Comparison
+from revisit.service.ports.blobs import PLACE_BLOB
+from revisit.service.ports.clock import Instant
+from revisit.service.ports.job_context import JobContext
+from revisit.service.ports.job_queue import Lease
+from revisit.service.ports.recogniser import PlaceRecogniser
+from revisit.service.ports.storage import require_descriptor, require_map
+from revisit.service.ports.transactions import UnitOfWork
+
+NO_LONGER_PROPOSED = {"outcome": "the loop was deleted, or somebody decided on it meanwhile"}
+"""The result of a job that had nothing left to verify."""
+
+
+@dataclass(frozen=True)
+class ProposedPair:
+    """The submaps of a proposed loop, how alike they are, and T_match_query `near`, where somebody named one."""
+
+    map: MapRecord
+    query: SubmapRecord
+    match: RecalledPlace
+    near: Matrix4 | None
+
+
+@dataclass(frozen=True)
+class VerdictCommit:
+    """The one transaction that ends the verification of a proposed loop."""
+
+    lease: Lease
+    model_version: str
+    policy: Policy
+    pair: ProposedPair | None
+    verdict: PairVerdict | None
+    now: Instant
+    now_ns: int
+
+    def __call__(self, uow: UnitOfWork) -> None:
+        """Commit. Raises StaleLease where another worker holds the job."""
+        uow.queue.require(self.lease)
+        loop = _proposed(uow, self.lease.job)
+        if loop is None or self.pair is None or self.verdict is None:
+            uow.queue.complete(self.lease, NO_LONGER_PROPOSED, self.now, self.now_ns)
+            return
+        verdict, measured = self.verdict, self.verdict.measurement
+        accepted = isinstance(verdict, VerifiedLoop)
+        state = LoopState.ACCEPTED if accepted else LoopState.REJECTED
+        reason = verdict.reason.value if isinstance(verdict, RejectedLoop) else None
+        evidence = verdict_evidence(verdict, self.policy.for_map(self.pair.map).verification)
+        change_loop(
+            uow,
+            loop,
+            Change(LoopEventKind.VERIFIED, self.now_ns, details=self._rules(evidence)),
+            state=state.value,
+            reason=reason,
+            similarity=self.pair.match.similarity,
+            score=0.0 if measured is None else float(measured.score),
+            T_match_query=loop.T_match_query if measured is None else pose_row(measured.T_match_query),
+            evidence={**evidence, "model_version": self.model_version},
+        )
+        if accepted:
+            optimise_soon(uow, loop.tenant, loop.map_id, self.policy, self.now, self.now_ns)
+        result = {"loop_closure": f"maps/{loop.map_id}/loopClosures/{loop.loop_id}", "state": state.value}
+        uow.queue.complete(self.lease, {**result, "reason": reason}, self.now, self.now_ns)
+
+    def _rules(self, evidence: dict[str, Any]) -> dict[str, Any]:
+        return {"model_version": self.model_version, **rules_of(evidence)}
+
+
+class ProposedLoopJob:
+    """Verifies proposed loops; all calls block."""
+
+    def __init__(self, context: JobContext, recogniser: PlaceRecogniser, early: EarlyCorrections) -> None:
+        """`early` corrects a map by the loops that hold."""
+        self._context = context
+        self._recogniser = recogniser
+        self._comparison = Comparison(context.blobs, recogniser)
+        self._early = early
+
+    def run(self, lease: Lease) -> None:
+        """Register the two submaps of a loop and store the verdict."""
+        context = self._context
+        pair = context.transactions.read(partial(_proposed_pair, job=lease.job)).result()
+        verdict = None
+        if pair is not None:
+            place = context.blobs.get(pair.query.tenant, PLACE_BLOB, str(pair.query.place_sha256))
+            verdict = self._comparison.verify(place, pair.match, context.policy.for_map(pair.map), pair.near)
+        now, now_ns = context.clock.instant(), context.clock.wall_ns()
+        commit = VerdictCommit(lease, self._recogniser.model_version, context.policy, pair, verdict, now, now_ns)
+        context.transactions.write(commit).result()
+        if pair is not None and isinstance(verdict, VerifiedLoop):
+            self._early.update(pair.map.tenant, pair.map.map_id)
+
+
+def _proposed_pair(uow: UnitOfWork, job: JobRecord) -> ProposedPair | None:
+    """What is to be verified; None where it is gone, or no longer a proposal."""
+    loop = _proposed(uow, job)
+    if loop is None:
+        return None
+    submaps = uow.submaps.numbered(job.tenant, [loop.query_number, loop.match_number])
+    query, match = submaps[loop.query_number], submaps[loop.match_number]
+    near = None if loop.T_match_query is None else np.array(pose_matrix(loop.T_match_query))
+    return ProposedPair(
+        require_map(uow, job.tenant, loop.map_id), query, RecalledPlace(match, _similarity(query, match)), near
+    )
+
+
+def _proposed(uow: UnitOfWork, job: JobRecord) -> LoopRecord | None:
+    loop = uow.loops.get(job.tenant, str(job.payload["map_id"]), str(job.payload["loop_id"]))
+    return loop if loop is not None and loop.state == LoopState.PROPOSED else None
+
+
+def _similarity(query: SubmapRecord, match: SubmapRecord) -> float:
+    first, second = (np.frombuffer(require_descriptor(one), dtype="<f4").astype(np.float64) for one in (query, match))
+    return float(first @ second)

@@ -1,0 +1,188 @@
+"""The transaction that completes a description: the submap, its loops, its entry in the index and its job, together."""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass, replace
+from typing import Any
+
+from revisit.core.acceptance import LoopClaim
+from revisit.core.config import VerificationConfig
+from revisit.core.errors import DescriptorModelMismatch
+from revisit.core.geometry.se3 import pose_row
+from revisit.service.domain.policy import Policy
+from revisit.service.domain.records import LoopRecord, MapRecord, SubmapRecord
+from revisit.service.domain.states import LoopEventKind, LoopState
+from revisit.service.failpoints import failpoint
+from revisit.service.features.deletion.rows import SUBMAP_DELETED
+from revisit.service.features.graph.posting import optimise_soon
+from revisit.service.features.index.place_memory import ReadFilter, RecalledPlace
+from revisit.service.features.ingest.rows import SubmapSource
+from revisit.service.features.loops.claims import kept_evidence, loop_state, revised_evidence, rules_of
+from revisit.service.features.loops.rows import (
+    Change,
+    LoopStanding,
+    add_loops,
+    change_loop,
+    decided_by_person,
+)
+from revisit.service.features.resources.views import submap_key
+from revisit.service.ports.blobs import BlobStore
+from revisit.service.ports.clock import Instant
+from revisit.service.ports.index import IndexChange, VectorFilter
+from revisit.service.ports.job_queue import Lease
+from revisit.service.ports.recogniser import SubmapDescription
+from revisit.service.ports.storage import require_map
+from revisit.service.ports.transactions import UnitOfWork
+
+
+@dataclass(frozen=True)
+class DescriptionTask:
+    """A submap to describe, as the database holds it."""
+
+    submap: SubmapRecord
+    source: SubmapSource
+    map: MapRecord
+
+
+@dataclass(frozen=True)
+class JudgedPlace:
+    """A recalled place and the claim that it is the place of the query."""
+
+    place: RecalledPlace
+    claim: LoopClaim
+
+
+@dataclass(frozen=True)
+class RevisedLoop:
+    """A stored loop, as it was read, and its claim as it is judged now."""
+
+    record: LoopRecord
+    claim: LoopClaim
+
+
+@dataclass(frozen=True)
+class StoredDescription:
+    """A description whose blobs are durable, and the row that names them."""
+
+    row: SubmapRecord
+    description: SubmapDescription
+    blobs: tuple[tuple[str, bytes], ...]
+
+
+@dataclass(frozen=True)
+class DescriptionCommit:
+    """The one transaction that ends a description; `revised` are earlier loops that this one's loops decide."""
+
+    blobs: BlobStore
+    policy: Policy
+    lease: Lease
+    task: DescriptionTask
+    described: StoredDescription
+    judged: list[JudgedPlace]
+    revised: list[RevisedLoop]
+    where: ReadFilter
+    seq: int
+    now: Instant
+    now_ns: int
+
+    def __call__(self, uow: UnitOfWork) -> bool:
+        """Commit, or change nothing and return False where a possible match came in since change `seq`.
+
+        Raises StaleLease where another worker holds the job.
+        """
+        tenant, map_record = self.task.map.tenant, self.task.map
+        # A late run must not trip over the rows of the run that overtook it.
+        uow.queue.require(self.lease)
+        newer = uow.changes.since(tenant, map_record.number, self.seq)
+        where = self.where(uow) if newer else VectorFilter()
+        if any(_may_match(change, where) for change in newer):
+            return False
+        own = self.task.submap.number
+        stored = uow.submaps.found(tenant, [own, *(item.place.submap.number for item in self.judged)])
+        if own not in stored:
+            self._end(uow, SUBMAP_DELETED)
+            return True
+        self._store_submap(uow)
+        failpoint("merge.after_submap")
+        present = [item for item in self.judged if item.place.submap.number in stored]
+        loops = [self._loop(item) for item in present]
+        add_loops(uow, [(loop, self._verified(loop.evidence)) for loop in loops])
+        accepted = sum(item.claim.accepted for item in present)
+        if accepted + sum(self._revise(uow, loop) for loop in self.revised):
+            optimise_soon(uow, tenant, map_record.map_id, self.policy, self.now, self.now_ns)
+        failpoint("merge.after_loops")
+        timings = {stage: round(seconds, 4) for stage, seconds in self.described.description.timings_s.items()}
+        result = {"submap": submap_key(self.task.submap).name, "loops_accepted": accepted}
+        self._end(uow, {**result, "loops_rejected": len(present) - accepted, "timings_s": timings})
+        return True
+
+    def _store_submap(self, uow: UnitOfWork) -> None:
+        row, blobs = self.described.row, self.blobs
+        for kind, data in self.described.blobs:
+            # A delete may have collected the same content meanwhile (see blob_references.collect_blobs).
+            if not blobs.exists(row.tenant, kind, hashlib.sha256(data).hexdigest()):
+                blobs.put(row.tenant, kind, data)
+        uow.submaps.replace(row)
+        uow.changes.record_described(row.tenant, self.task.map.number, row.number)
+        current = require_map(uow, row.tenant, row.map_id)
+        if current.model_version is None:
+            uow.maps.replace(replace(current, model_version=self.described.row.model_version))
+        elif current.model_version != self.described.row.model_version:
+            raise DescriptorModelMismatch(f"map {row.map_id} was described by model {current.model_version}")
+
+    def _end(self, uow: UnitOfWork, result: dict[str, Any]) -> None:
+        uow.queue.complete(self.lease, result, self.now, self.now_ns)
+
+    def _revise(self, uow: UnitOfWork, revised: RevisedLoop) -> bool:
+        """Change the verdict of an earlier loop, if it still has the one that it was read with."""
+        known, claim = revised.record, revised.claim
+        loop = uow.loops.get(known.tenant, known.map_id, known.loop_id)
+        if loop is None or LoopStanding.of(loop) != LoopStanding.of(known) or claim.T_match_query is None:
+            return False
+        if loop.state == LoopState.ACCEPTED and decided_by_person(uow, loop):
+            return False
+        evidence = revised_evidence(loop.evidence, claim, self._rules)
+        change_loop(
+            uow,
+            loop,
+            self._verified(evidence),
+            state=loop_state(claim).value,
+            reason=None if claim.reason is None else claim.reason.value,
+            score=claim.score,
+            T_match_query=pose_row(claim.T_match_query),
+            evidence=evidence,
+            graph_state=loop.graph_state if claim.accepted else None,
+        )
+        return True
+
+    @property
+    def _rules(self) -> VerificationConfig:
+        return self.policy.for_map(self.task.map).verification
+
+    def _verified(self, evidence: dict[str, Any]) -> Change:
+        """Tells what the verdict was given by: the model and the thresholds."""
+        details = {"model_version": self.described.row.model_version, **rules_of(evidence)}
+        return Change(LoopEventKind.VERIFIED, self.now_ns, details=details)
+
+    def _loop(self, item: JudgedPlace) -> LoopRecord:
+        query, match, claim = self.task.submap, item.place.submap, item.claim
+        return LoopRecord.between(
+            query,
+            match,
+            loop_id=f"loop-{query.number}-{match.number}",
+            state=loop_state(claim).value,
+            reason=None if claim.reason is None else claim.reason.value,
+            similarity=item.place.similarity,
+            score=claim.score,
+            T_match_query=None if claim.T_match_query is None else pose_row(claim.T_match_query),
+            evidence={**kept_evidence(claim, self._rules), "model_version": self.described.row.model_version},
+            created_at_ns=self.now_ns,
+        )
+
+
+def _may_match(change: IndexChange, where: VectorFilter) -> bool:
+    """Whether a change brought in a submap that the loop filter lets through."""
+    if change.vector is None or change.submap_number in where.without:
+        return False
+    return where.only_sessions is None or change.session_number in where.only_sessions

@@ -1,0 +1,1 @@
+"""Queries by submap, descriptor and cloud; localisation."""

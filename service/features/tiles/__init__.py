@@ -1,0 +1,1 @@
+"""Surfaces of a map in tiles."""

@@ -1,0 +1,151 @@
+"""Which tiles a version of a map has, and what each of them is made of."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from revisit.core.config import PipelineConfig
+from revisit.core.geometry.tile_grid import TileGrid
+from revisit.service.domain.errors import NotFound
+from revisit.service.domain.identity import TenantId
+from revisit.service.domain.policy import Policy
+from revisit.service.domain.records import SubmapRecord
+from revisit.service.features.graph.session_poses import PackedSubmaps
+from revisit.service.ports.map_merger import PlacedSubmapMap
+from revisit.service.ports.map_tiles import TileKey
+from revisit.service.ports.storage import require_map
+from revisit.service.ports.transactions import UnitOfWork
+
+MOST_SUBMAPS = 128
+"""That a tile is made of: the nearest to its middle. A place that was driven more often gains nothing by more."""
+
+_NUMBERED_AT_ONCE = 1000
+
+
+@dataclass(frozen=True)
+class PlacedFrame:
+    """The submaps of one frame of a version, by session and in the order of their drives: numbers (n,) and poses."""
+
+    frame: str
+    numbers: NDArray[np.int64]
+    T_map_submap: NDArray[np.float64]
+
+    @property
+    def positions(self) -> NDArray[np.float64]:
+        """(n, 3), metres."""
+        return np.asarray(self.T_map_submap[:, :3, 3])
+
+
+@dataclass(frozen=True)
+class TilePlan:
+    """What a tile is made of: neural maps of submaps and where these lie in the frame; the middle of its square."""
+
+    key: TileKey
+    centre: tuple[float, float, float]
+    placed: tuple[tuple[str, tuple[float, ...]], ...]
+
+    @property
+    def centre_m(self) -> NDArray[np.float64]:
+        """(3,), metres in the frame."""
+        return np.array(self.centre)
+
+    @property
+    def maps(self) -> list[PlacedSubmapMap]:
+        """As the method takes them."""
+        return [PlacedSubmapMap(sha256, np.reshape(pose, (4, 4))) for sha256, pose in self.placed]
+
+
+@dataclass(frozen=True)
+class Tiling:
+    """The frames of a version of a map, and the grid over each of them."""
+
+    map_id: str
+    version: int
+    grid: TileGrid
+    reach_m: float
+    frames: tuple[PlacedFrame, ...]
+
+    def tiles(self) -> list[tuple[TileKey, int]]:
+        """Every tile that a submap may reach into, with how many do, by frame, column and row."""
+        return [
+            (TileKey(self.map_id, self.version, one.frame, cell), len(rows))
+            for one in self.frames
+            for cell, rows in self.grid.reached(one.positions, self.reach_m).items()
+        ]
+
+    def frame(self, name: str) -> PlacedFrame:
+        """The frame of this name; where it is empty, the only one. Raises NotFound."""
+        found = [one for one in self.frames if one.frame == name or not name]
+        if len(found) != 1:
+            known = ", ".join(one.frame for one in self.frames)
+            raise NotFound(f"version {self.version} of map {self.map_id} has the frames {known}: name one"[:200])
+        return found[0]
+
+    def near(self, key: TileKey) -> NDArray[np.int64]:
+        """The submaps that may reach into a tile, the nearest to its middle first, at most MOST_SUBMAPS."""
+        known = [one for one in self.frames if one.frame == key.frame]
+        if not known:
+            return np.zeros(0, np.int64)
+        gaps = self.grid.distances_m(key.cell, known[0].positions)
+        rows = np.flatnonzero(gaps <= self.reach_m)
+        middle = np.linalg.norm(known[0].positions[rows, :2] - self.grid.centre(key.cell)[:2], axis=1)
+        nearest = rows[np.lexsort((rows, middle))[:MOST_SUBMAPS]]
+        return np.sort(nearest)
+
+
+def read_tiling(uow: UnitOfWork, policy: Policy, tenant: TenantId, map_id: str, version: int) -> Tiling:
+    """The tiling of a version of a map. Raises NotFound."""
+    record = require_map(uow, tenant, map_id)
+    if uow.map_versions.get(tenant, map_id, min(version, record.map_version + 1)) is None:
+        raise NotFound(f"there is no version {version} of map {map_id!r}"[:200])
+    config = policy.for_map(record)
+    rows = uow.session_poses.find(tenant, map_id=map_id, version=version)
+    parts: dict[str, list[PackedSubmaps]] = {}
+    for row in sorted(rows, key=lambda poses: poses.session_number):
+        parts.setdefault(row.frame, []).append(PackedSubmaps.of(row.submaps))
+    frames = tuple(_joined(name, parts[name]) for name in sorted(parts))
+    return Tiling(map_id, version, grid_of(config), reach_m(config), frames)
+
+
+def grid_of(config: PipelineConfig) -> TileGrid:
+    """The grid of maps with these parameters."""
+    return TileGrid.of(config.implicit_map.resolution, config.scene_scale)
+
+
+def reach_m(config: PipelineConfig) -> float:
+    """How far from a submap its surface may lie, metres; what lies farther is in no tile."""
+    return config.submap.max_range * min(1.0, config.scene_scale) + 0.5 * config.submap.tau
+
+
+def read_plan(uow: UnitOfWork, policy: Policy, tenant: TenantId, key: TileKey) -> TilePlan:
+    """What a tile is made of. Raises NotFound for a version that is gone or a tile that no submap reaches."""
+    tiling = read_tiling(uow, policy, tenant, key.map_id, key.version)
+    rows = tiling.near(key)
+    if not len(rows):
+        raise NotFound(f"there is no tile {key.tile_id!r} in version {key.version} of map {key.map_id!r}"[:200])
+    frame = tiling.frame(key.frame)
+    known = submaps_numbered(uow, tenant, frame.numbers[rows].tolist())
+    placed = [
+        (str(known[number].neural_map_sha256), tuple(frame.T_map_submap[row].ravel().tolist()))
+        for row, number in zip(rows.tolist(), frame.numbers[rows].tolist(), strict=True)
+        if number in known and known[number].neural_map_sha256 is not None
+    ]
+    x, y, z = tiling.grid.centre(key.cell).tolist()
+    return TilePlan(key, (x, y, z), tuple(placed))
+
+
+def _joined(frame: str, parts: Sequence[PackedSubmaps]) -> PlacedFrame:
+    numbers = np.concatenate([one.numbers for one in parts])
+    return PlacedFrame(frame, numbers, np.concatenate([one.T_map_submap for one in parts]))
+
+
+def submaps_numbered(uow: UnitOfWork, tenant: TenantId, numbers: Sequence[int]) -> dict[int, SubmapRecord]:
+    """Any number of submaps by their numbers."""
+    found: dict[int, SubmapRecord] = {}
+    for start in range(0, len(numbers), _NUMBERED_AT_ONCE):
+        found |= uow.submaps.numbered(tenant, numbers[start : start + _NUMBERED_AT_ONCE])
+    return found

@@ -1,0 +1,128 @@
+"""The service itself: readiness, status, drain."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import partial
+
+from revisit.core.errors import RevisitError
+from revisit.service.capacity.admission import Admission
+from revisit.service.domain.identity import TenantId
+from revisit.service.domain.records import WorkerRecord
+from revisit.service.domain.states import OperationState, SubmapState
+from revisit.service.features.index.keeping import IndexHealth
+from revisit.service.ports.clock import Clock
+from revisit.service.ports.disk import DiskSpace
+from revisit.service.ports.storage import Storage
+from revisit.service.ports.transactions import UnitOfWork
+
+WORKER_SEEN_WITHIN_MS = 15_000
+
+WAL_ALARM_BYTES = 64 * 2**20
+"""A log that grows beyond is not folded back any more: some reader keeps a snapshot for very long."""
+
+
+@dataclass(frozen=True)
+class Readiness:
+    """Whether requests can be served; `reasons` says why not, `degraded` what is refused, or wrong, nevertheless."""
+
+    ready: bool
+    reasons: tuple[str, ...]
+    degraded: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class WorkerView:
+    """A worker process that has shown itself within the last lease."""
+
+    worker_id: str
+    model_version: str
+
+
+@dataclass(frozen=True)
+class ServiceStatus:
+    """What the service is doing for a tenant. `model_version` is that of the newest worker, None before any started."""
+
+    version: str
+    model_version: str | None
+    queued_jobs: int
+    running_jobs: int
+    failed_jobs: int
+    indexed_submaps: int
+    workers: tuple[WorkerView, ...]
+
+
+class System:
+    """Readiness, status, drain."""
+
+    def __init__(
+        self, storage: Storage, admission: Admission, disk: DiskSpace, index: IndexHealth, clock: Clock, version: str
+    ) -> None:
+        """`index` is the state of this process's index; `version` is the product's."""
+        self._storage = storage
+        self._admission = admission
+        self._disk = disk
+        self._index = index
+        self._clock = clock
+        self._version = version
+        self._looking: asyncio.Task[Readiness] | None = None
+
+    async def readiness(self) -> Readiness:
+        """Ready when the database answers, the index is loaded and the service is not draining.
+
+        All who ask at the same time look at the database together: a flood of probes is one look at a time.
+        """
+        if self.draining:
+            return Readiness(False, ("draining",))
+        if self._index.loading:
+            return Readiness(False, ("the index is being loaded",))
+        if self._looking is None or self._looking.done():
+            self._looking = asyncio.create_task(self._look())
+        return await asyncio.shield(self._looking)
+
+    async def _look(self) -> Readiness:
+        try:
+            workers = await self._storage.read(self._alive)
+        except RevisitError as error:
+            return Readiness(False, (f"database: {error.message}",))
+        return Readiness(True, (), tuple(self._degraded(len(workers))))
+
+    def _degraded(self, workers: int) -> Iterator[str]:
+        if not workers:
+            yield "no worker lives: what is posted waits, and no query by cloud is answered; the log says why they end"
+        if self._disk.full():
+            yield "storage full: no new scans or submaps until there is room"
+        wal_bytes = self._disk.wal_bytes()
+        if wal_bytes > WAL_ALARM_BYTES:
+            yield f"the log of the database has grown to {wal_bytes >> 20} MiB: searches and starts become slower"
+
+    async def status(self, tenant: TenantId) -> ServiceStatus:
+        """Queue depth, index size, workers and model version."""
+        return await self._storage.read(partial(self._status, tenant=tenant))
+
+    def _status(self, uow: UnitOfWork, tenant: TenantId) -> ServiceStatus:
+        alive = self._alive(uow)
+        return ServiceStatus(
+            version=self._version,
+            model_version=alive[0].model_version if alive else None,
+            queued_jobs=uow.jobs.count(tenant, state=OperationState.QUEUED.value),
+            running_jobs=uow.jobs.count(tenant, state=OperationState.RUNNING.value),
+            failed_jobs=uow.jobs.count(tenant, state=OperationState.FAILED.value),
+            indexed_submaps=uow.submaps.count(tenant, state=SubmapState.DESCRIBED.value),
+            workers=tuple(WorkerView(worker.worker_id, worker.model_version) for worker in alive),
+        )
+
+    def _alive(self, uow: UnitOfWork) -> Sequence[WorkerRecord]:
+        now = self._clock.instant()
+        return uow.workers.alive(now.epoch, now.ms - WORKER_SEEN_WITHIN_MS)
+
+    def drain(self) -> None:
+        """From now on refuse new work with Draining; work in progress ends."""
+        self._admission.stop()
+
+    @property
+    def draining(self) -> bool:
+        """Whether `drain` was called."""
+        return self._admission.stopping

@@ -1,0 +1,1 @@
+"""Waiting for a change of the store: one poll for all who wait."""

@@ -1,0 +1,90 @@
+"""Read-your-writes: a query that names a sequence number is answered from everything stored up to it, or not at all."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+
+from revisit.service.capacity.admission import Admission
+from revisit.service.capacity.call_slots import Wait, waiting
+from revisit.service.domain import limits
+from revisit.service.domain.errors import SeqNotReached
+from revisit.service.domain.identity import TenantId
+from revisit.service.features.waiting.shared_poll import SharedPoll
+from revisit.service.ports.storage import Storage, require_map
+from revisit.service.ports.transactions import UnitOfWork
+
+MAX_WAIT_S = limits.WAIT_S.most
+DEFAULT_WAIT_S = 10.0
+_PAUSE_S = (0.005, 0.25)
+
+
+@dataclass(frozen=True)
+class Freshness:
+    """What an answer must rest on: every submap of the map whose `seq` is at most `min_seq`.
+
+    It is waited for up to `timeout_s` (0 to 60 s). 0 asks for nothing. A submap whose description failed is not waited
+    for: its operation says why.
+    """
+
+    min_seq: int = 0
+    timeout_s: float = DEFAULT_WAIT_S
+
+    def validated(self) -> Freshness:
+        """Itself. Raises BadField."""
+        limits.MIN_SEQ.validated(self.min_seq, "min_seq")
+        limits.WAIT_S.validated(self.timeout_s, "min_seq_timeout_s")
+        return self
+
+
+class ReadYourWrites:
+    """Waits until queries see what they must rest on."""
+
+    def __init__(self, storage: Storage, admission: Admission) -> None:
+        """Waiting ends when `admission` says that the service stops."""
+        self._storage = storage
+        self._admission = admission
+        self._looks = SharedPoll(storage, _not_described)
+
+    async def reached(self, tenant: TenantId, map_id: str, wanted: Freshness) -> None:
+        """Return once whatever is read from now on holds what is `wanted`.
+
+        Raises SeqNotReached after the time allowed, or at once for a number beyond the tenant's own submaps, whether or
+        not somebody else has it; Draining where the service stops meanwhile; RateLimited where too many wait; NotFound
+        for the map.
+        """
+        min_seq = wanted.validated().min_seq
+        if min_seq == 0:
+            return
+        if await self._storage.read(lambda uow: _last(uow, tenant, map_id)) < min_seq:
+            raise SeqNotReached(f"no submap with seq {min_seq} was stored", field="min_seq")
+        if await self._looks.has_come((tenant, map_id), min_seq, 0.0):
+            return
+        with waiting() as wait:
+            if not await self._comes((tenant, map_id), wanted, wait):
+                raise SeqNotReached(
+                    f"submaps up to seq {min_seq} are not described after {wanted.timeout_s:g} s", field="min_seq"
+                )
+
+    async def _comes(self, of: tuple[TenantId, str], wanted: Freshness, wait: Wait) -> bool:
+        """Whether what is wanted comes in the time allowed, while somebody waits for it. Raises Draining."""
+        deadline, pause = time.monotonic() + wanted.timeout_s, _PAUSE_S[0]
+        while (left := deadline - time.monotonic()) > 0.0 and not wait.abandoned:
+            self._admission.require_running()
+            if await self._looks.has_come(of, wanted.min_seq, min(pause, left)):
+                return True
+            pause = min(pause * 1.5, _PAUSE_S[1])
+        return False
+
+
+def _last(uow: UnitOfWork, tenant: TenantId, map_id: str) -> int:
+    require_map(uow, tenant, map_id)
+    return uow.submaps.last_number(tenant)
+
+
+def _not_described(uow: UnitOfWork, of: tuple[TenantId, str], min_seqs: frozenset[int]) -> frozenset[int]:
+    """Those numbers up to which a submap of the map waits. Raises NotFound."""
+    tenant, map_id = of
+    require_map(uow, tenant, map_id)
+    first = uow.submaps.first_waiting(tenant, map_id)
+    return frozenset(() if first is None else (min_seq for min_seq in min_seqs if first <= min_seq))

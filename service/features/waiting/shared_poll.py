@@ -1,0 +1,69 @@
+"""Looking whether what many wait for has come: one read of the store for all of them, however many wait."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable, Collection, Hashable
+from functools import partial
+from typing import Generic, TypeVar
+
+from revisit.service.ports.storage import Storage
+from revisit.service.ports.transactions import UnitOfWork
+
+K = TypeVar("K", bound=Hashable)
+I = TypeVar("I", bound=Hashable)  # noqa: E741  # an item
+
+
+class SharedPoll(Generic[K, I]):
+    """Those who wait for items of the same key look together. All calls come from the event loop."""
+
+    def __init__(self, storage: Storage, not_come: Callable[[UnitOfWork, K, frozenset[I]], Collection[I]]) -> None:
+        """`not_come` says which of the items of a key are still to be waited for."""
+        self._storage = storage
+        self._not_come = not_come
+        self._looks: dict[K, _Look[I]] = {}
+        self._reading: set[asyncio.Task[None]] = set()
+
+    async def has_come(self, key: K, item: I, within_s: float) -> bool:
+        """Look within so many seconds, with all who wait; whether `item` has come. Raises what looking raises."""
+        look = self._looks.get(key)
+        if look is None:
+            look = self._looks[key] = _Look()
+        look.items.add(item)
+        look.begin_within(within_s, partial(self._begin, key))
+        return item not in await asyncio.shield(look.outcome)
+
+    def _begin(self, key: K) -> None:
+        reading = asyncio.get_running_loop().create_task(self._read(key, self._looks.pop(key)))
+        self._reading.add(reading)
+        reading.add_done_callback(self._reading.discard)
+
+    async def _read(self, key: K, look: _Look[I]) -> None:
+        items = frozenset(look.items)
+        try:
+            look.outcome.set_result(await self._storage.read(lambda uow: self._not_come(uow, key, items)))
+        except Exception as error:  # noqa: BLE001  # whoever waits is told, whatever it was
+            look.outcome.set_exception(error)
+            # They may all have gone away meanwhile.
+            look.outcome.exception()
+
+
+class _Look(Generic[I]):
+    """A look that is to come, and what is looked for."""
+
+    def __init__(self) -> None:
+        self.items: set[I] = set()
+        self.outcome: asyncio.Future[Collection[I]] = asyncio.get_running_loop().create_future()
+        self._timer: asyncio.Handle | None = None
+        self._due_s = 0.0
+
+    def begin_within(self, seconds: float, begin: Callable[[], None]) -> None:
+        """Begin in so many seconds, unless it begins earlier anyway."""
+        loop = asyncio.get_running_loop()
+        due_s = loop.time() + seconds
+        if self._timer is not None:
+            # Noted here: a timer of uvloop that is due at once does not know when.
+            if self._due_s <= due_s:
+                return
+            self._timer.cancel()
+        self._timer, self._due_s = loop.call_later(seconds, begin), due_s

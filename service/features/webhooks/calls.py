@@ -1,0 +1,190 @@
+"""Webhooks: create, get, list, delete and resume them; what came of the last deliveries."""
+
+from __future__ import annotations
+
+import base64
+import secrets
+from dataclasses import dataclass, replace
+from functools import partial
+
+from revisit.core.errors import BadField
+from revisit.service.capacity.admission import Admission
+from revisit.service.domain import limits
+from revisit.service.domain.errors import NotFound, QuotaReached
+from revisit.service.domain.identity import TenantId, content_hash, validated_id
+from revisit.service.domain.states import EventKind, WebhookState
+from revisit.service.domain.webhooks import DeliveryRecord, WebhookRecord
+from revisit.service.features.resources.paging import Lists, Page, PageRequest
+from revisit.service.features.webhooks.rules import validated_url
+from revisit.service.ports.clock import Clock
+from revisit.service.ports.storage import Storage, require_map, require_same_content
+from revisit.service.ports.transactions import UnitOfWork
+
+SECRET_PREFIX = "whsec_"
+"""The beginning of a secret by Standard Webhooks, which scanners of repositories know."""
+
+TOLD_OF = (EventKind.LOOP_CLOSURE, EventKind.OPERATION, EventKind.MAP_VERSION)
+"""The kinds that a webhook may be kept to; FORGOTTEN comes in any case."""
+
+
+def new_secret() -> str:
+    """A key of 256 random bits in base64, behind its prefix."""
+    return SECRET_PREFIX + base64.b64encode(secrets.token_bytes(32)).decode()
+
+
+def key_of(secret: str) -> bytes:
+    """The key of a secret."""
+    return base64.b64decode(secret.removeprefix(SECRET_PREFIX) + "==")
+
+
+@dataclass(frozen=True)
+class CreateWebhook:
+    """A new webhook; `map_id` keeps the events of one map, `kinds` those of these kinds, where given."""
+
+    webhook_id: str
+    url: str
+    map_id: str | None = None
+    kinds: tuple[EventKind, ...] = ()
+
+
+@dataclass(frozen=True)
+class WebhookView:
+    """A webhook as clients see it; `failures` counts attempts in vain since the last event that arrived, `told`."""
+
+    webhook_id: str
+    url: str
+    map_id: str | None
+    kinds: tuple[EventKind, ...]
+    state: WebhookState
+    told: int
+    failures: int
+    created_at_ns: int
+
+
+@dataclass(frozen=True)
+class CreatedWebhook:
+    """The webhook; its `secret`, which is told this once, "" on a replay."""
+
+    webhook: WebhookView
+    secret: str
+    replay: bool
+
+
+class Webhooks:
+    """The webhooks of a tenant."""
+
+    def __init__(
+        self, storage: Storage, lists: Lists, admission: Admission, clock: Clock, private_networks: bool
+    ) -> None:
+        """With `private_networks`, webhooks may lead anywhere, and over plain HTTP."""
+        self._storage = storage
+        self._lists = lists
+        self._admission = admission
+        self._clock = clock
+        self._private = private_networks
+
+    async def create(self, tenant: TenantId, command: CreateWebhook) -> CreatedWebhook:
+        """Send the events from now on to a URL.
+
+        Raises BadField; NotFound for the map; AlreadyExists where the id is taken by other content; QuotaReached;
+        RateLimited, Draining.
+        """
+        self._admission.charge_creation(tenant)
+        if not set(command.kinds) <= set(TOLD_OF):
+            raise BadField(f"kinds may be {', '.join(kind.value for kind in TOLD_OF)}", field="kinds")
+        kinds = tuple(sorted({kind.value for kind in command.kinds}))
+        url = validated_url(command.url, private=self._private)
+        record = WebhookRecord(
+            tenant=tenant,
+            webhook_id=validated_id(command.webhook_id, "webhook_id"),
+            content_hash=content_hash([url, command.map_id, *kinds]),
+            url=url,
+            map_id=command.map_id,
+            kinds=kinds,
+            secret=new_secret(),
+            state=WebhookState.ENABLED.value,
+            told=0,
+            failures=0,
+            due_at_ns=0,
+            created_at_ns=self._clock.wall_ns(),
+        )
+        return await self._storage.write(partial(_add, record=record))
+
+    async def get(self, tenant: TenantId, webhook_id: str) -> WebhookView:
+        """Raises NotFound."""
+        return _view(await self._storage.read(partial(_require, tenant=tenant, webhook_id=webhook_id)))
+
+    async def list(self, tenant: TenantId, page: PageRequest) -> Page[WebhookView]:
+        """The tenant's webhooks, oldest first."""
+        return await self._lists.page(
+            tenant,
+            page,
+            lambda uow, after, limit: uow.webhooks.find(tenant, after=after, limit=limit),
+            lambda _, record: _view(record),
+        )
+
+    async def deliveries(self, tenant: TenantId, webhook_id: str, page: PageRequest) -> Page[DeliveryRecord]:
+        """The last attempts to deliver, oldest first. Raises NotFound."""
+        find = partial(_attempts, tenant=tenant, webhook_id=webhook_id)
+        return await self._lists.page(tenant, page, find, lambda _, record: record)
+
+    async def resume(self, tenant: TenantId, webhook_id: str) -> WebhookView:
+        """Try again at once, also where it was suspended. Raises NotFound, Draining."""
+        self._admission.require_running()
+        return await self._storage.write(partial(_resume, tenant=tenant, webhook_id=webhook_id))
+
+    async def delete(self, tenant: TenantId, webhook_id: str) -> None:
+        """Send nothing more. Raises NotFound, Draining."""
+        self._admission.require_running()
+        await self._storage.write(partial(_delete, tenant=tenant, webhook_id=webhook_id))
+
+
+def _add(uow: UnitOfWork, record: WebhookRecord) -> CreatedWebhook:
+    known = uow.webhooks.get(record.tenant, record.webhook_id)
+    if known is not None:
+        require_same_content(known.content_hash, record.content_hash, f"webhook {record.webhook_id}")
+        return CreatedWebhook(_view(known), "", replay=True)
+    if record.map_id is not None:
+        require_map(uow, record.tenant, record.map_id)
+    if uow.webhooks.count(record.tenant) >= limits.WEBHOOKS:
+        raise QuotaReached(f"a tenant may have {limits.WEBHOOKS} webhooks: delete one first")
+    added = uow.webhooks.add(replace(record, told=uow.events.last_number()))
+    return CreatedWebhook(_view(added), added.secret, replay=False)
+
+
+def _resume(uow: UnitOfWork, tenant: TenantId, webhook_id: str) -> WebhookView:
+    known = _require(uow, tenant, webhook_id)
+    resumed = replace(known, state=WebhookState.ENABLED.value, failures=0, due_at_ns=0)
+    uow.webhooks.replace(resumed)
+    return _view(resumed)
+
+
+def _delete(uow: UnitOfWork, tenant: TenantId, webhook_id: str) -> None:
+    _require(uow, tenant, webhook_id)
+    uow.webhook_deliveries.delete(tenant, webhook_id=webhook_id)
+    uow.webhooks.delete(tenant, webhook_id=webhook_id)
+
+
+def _attempts(uow: UnitOfWork, after: int, limit: int, *, tenant: TenantId, webhook_id: str) -> list[DeliveryRecord]:
+    _require(uow, tenant, webhook_id)
+    return uow.webhook_deliveries.find(tenant, after=after, limit=limit, webhook_id=webhook_id)
+
+
+def _require(uow: UnitOfWork, tenant: TenantId, webhook_id: str) -> WebhookRecord:
+    record = uow.webhooks.get(tenant, webhook_id)
+    if record is None:
+        raise NotFound(f"there is no webhook {webhook_id!r}"[:200])
+    return record
+
+
+def _view(record: WebhookRecord) -> WebhookView:
+    return WebhookView(
+        webhook_id=record.webhook_id,
+        url=record.url,
+        map_id=record.map_id,
+        kinds=tuple(EventKind(kind) for kind in record.kinds),
+        state=WebhookState(record.state),
+        told=record.told,
+        failures=record.failures,
+        created_at_ns=record.created_at_ns,
+    )

@@ -1,0 +1,27 @@
+"""What every job of a worker stands on: the database, the blobs, the time and the rules."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from revisit.service.domain.policy import Policy
+from revisit.service.ports.blobs import BlobStore
+from revisit.service.ports.clock import Clock
+from revisit.service.ports.job_queue import Lease
+from revisit.service.ports.transactions import Transactions
+
+
+@dataclass(frozen=True)
+class JobContext:
+    """Given to each job; all of its calls block."""
+
+    transactions: Transactions
+    blobs: BlobStore
+    clock: Clock
+    policy: Policy
+
+    def complete(self, lease: Lease, result: dict[str, Any]) -> None:
+        """End a job well, in a transaction of its own. Raises StaleLease where another worker holds it."""
+        now, now_ns = self.clock.instant(), self.clock.wall_ns()
+        self.transactions.write(lambda uow: uow.queue.complete(lease, result, now, now_ns)).result()

@@ -1,0 +1,135 @@
+"""The job queue, its leases, and the workers that hold them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+from revisit.service.domain.identity import TenantId
+from revisit.service.domain.records import JobRecord, TurnRecord, WorkerRecord
+from revisit.service.ports.clock import Instant
+
+CANCELLED = {"outcome": "the operation was cancelled"}
+"""The result of a job that somebody cancelled: it changed nothing."""
+
+
+@dataclass(frozen=True)
+class Lease:
+    """The right to run a job until it runs out; `job.lease_token` is the fencing token."""
+
+    job: JobRecord
+
+
+class LeasedRuns(Protocol):
+    """What a worker does with one job: lease it, keep the lease, report its end."""
+
+    def claim(self, owner: str, now: Instant) -> Lease | None:
+        """Lease the next runnable job, of the tenant whose turn it is, to `owner`; the attempt is counted before."""
+        ...
+
+    def require(self, lease: Lease) -> None:
+        """Raises StaleLease where another worker holds the job by now."""
+        ...
+
+    def extend(self, lease: Lease, now: Instant) -> None:
+        """Keep the lease. Raises StaleLease where another worker holds the job by now."""
+        ...
+
+    def complete(self, lease: Lease, result: dict[str, Any], now: Instant, finished_at_ns: int) -> None:
+        """End the job well. Raises StaleLease."""
+        ...
+
+    def fail(
+        self,
+        lease: Lease,
+        code: str,
+        message: str,
+        now: Instant,
+        finished_at_ns: int,
+        *,
+        retry: bool,
+        innocent: bool = False,
+    ) -> bool:
+        """Count a failed run: back to the queue while `retry` and attempts are left. Whether it failed for good.
+
+        `innocent`: the job had no part in it, so the run does not count against it, up to a bound.
+        """
+        ...
+
+
+class LostRuns(Protocol):
+    """Runs that ended with their worker."""
+
+    def fail_exhausted_jobs(self, now: Instant, finished_at_ns: int) -> list[JobRecord]:
+        """Fail the jobs whose lease has run out with no attempts left; returns them."""
+        ...
+
+    def release(self, owner: str, now: Instant, reason: str, *, innocent: bool = False) -> int:
+        """End the runs of a worker that died of `reason`, without waiting for its leases to run out; how many.
+
+        `innocent`: the job had no part in it, so the run does not count against it, up to a bound.
+        """
+        ...
+
+    def forgive(self) -> int:
+        """The service has started again: the runs under way do not count against their jobs, up to a bound; how many.
+
+        Their leases stay as they are, since a worker that needs no gateway may still finish one.
+        """
+        ...
+
+
+class ReportedRuns(Protocol):
+    """How far a run has come."""
+
+    def report(self, lease: Lease, progress: dict[str, Any]) -> bool:
+        """Store `progress` (JSON). Whether to go on: False once somebody has asked to cancel. Raises StaleLease."""
+        ...
+
+
+class JobQueue(LeasedRuns, LostRuns, ReportedRuns, Protocol):
+    """Jobs in the same transaction as the rows they belong to; at least one run, at most one effect."""
+
+    def enqueue(self, job: JobRecord) -> JobRecord:
+        """Queue a job."""
+        ...
+
+    def waits(self, now: Instant) -> bool:
+        """Whether there is something to claim."""
+        ...
+
+
+class TenantTurns(Protocol):
+    """How much of the workers' time each tenant has had."""
+
+    def waiting(self) -> list[TurnRecord]:
+        """Of the tenants with queued or running jobs."""
+        ...
+
+    def of(self, tenant: TenantId) -> TurnRecord:
+        """That of one tenant; zero for one that never had a turn."""
+        ...
+
+    def latest_start_ms(self) -> int:
+        """Where the last job began that was claimed: nobody's time is counted from further back."""
+        ...
+
+    def keep(self, turn: TurnRecord) -> None:
+        """Store it."""
+        ...
+
+
+class WorkerLog(Protocol):
+    """Which worker processes live."""
+
+    def beat(self, worker: WorkerRecord) -> None:
+        """The worker shows itself."""
+        ...
+
+    def alive(self, epoch: str, since_ms: int) -> list[WorkerRecord]:
+        """Workers seen at or after `since_ms` of `epoch`, last seen first."""
+        ...
+
+    def forget(self, worker_id: str) -> None:
+        """The worker is gone."""
+        ...

@@ -1,0 +1,111 @@
+"""What speaks for or against making two maps one, as the workers ask for it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from revisit.core.geometry.se3 import Matrix4
+from revisit.service.domain.states import ChangeKind
+from revisit.service.ports.map_optimiser import MapGraph, OptimisedMap, Told, TrackLoop
+
+
+@dataclass(frozen=True)
+class DescribedPlaces:
+    """The places of a map: descriptors (n, d), the number of each one's session (n,), its storey or None if unknown."""
+
+    descriptors: NDArray[np.float32]
+    sessions: NDArray[np.int64]
+    storeys: tuple[str | None, ...]
+
+
+@dataclass(frozen=True)
+class AlignedMaps:
+    """The poses of two maps in one graph, and what the loops between them say: how many the poses rest on, the way of
+    the second map that they span, metres, and how many agree on another alignment.
+    """
+
+    optimised: OptimisedMap
+    loops: int
+    common_track_m: float
+    rival_loops: int
+
+
+@dataclass(frozen=True)
+class PlacedSubmapMap:
+    """A neural map by its blob, and where its submap lies."""
+
+    sha256: str
+    T_map_submap: Matrix4
+
+
+@dataclass(frozen=True)
+class MapChange:
+    """Something of a scene that one day has and the other has not: a box along the map's axes around its points.
+
+    centre_m and extent_m (3,), metres; `points` neural points.
+    """
+
+    kind: ChangeKind
+    centre_m: tuple[float, float, float]
+    extent_m: tuple[float, float, float]
+    points: int
+
+
+@dataclass(frozen=True)
+class SurfaceEvidence:
+    """What the surfaces of two placed maps say of each other (see `core.merge.overlap`)."""
+
+    common_points: int
+    overlap_share: float
+    residual_m: float
+    far_share: float
+    seen_through_share: float
+    changes: tuple[MapChange, ...]
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """Why two maps are not joined, None where nothing speaks against it; and the limits that this rests on."""
+
+    refusal: str | None
+    limits: dict[str, float]
+
+
+class MapMerger(Protocol):
+    """Finds out whether two maps are one."""
+
+    def candidates(self, first: DescribedPlaces, second: DescribedPlaces, k: int) -> list[tuple[int, int, float]]:
+        """Rows of both that may show the same place, with the cosine of their descriptors, the likest first.
+
+        A pair is there whichever of the maps is the first, unless its storeys are known and differ.
+        """
+        ...
+
+    def align(
+        self, graph: MapGraph, second: frozenset[int], spare: Sequence[TrackLoop], scale: float, told: Told
+    ) -> AlignedMaps:
+        """Optimise both maps together; `second` numbers the sessions of the one that joins.
+
+        The poses do not rest on `spare` loops, which may still agree on another alignment.
+        """
+        ...
+
+    def compare(
+        self,
+        first: Sequence[PlacedSubmapMap],
+        second: Sequence[PlacedSubmapMap],
+        read: Callable[[str], bytes],
+        scale: float,
+        told: Told,
+    ) -> SurfaceEvidence:
+        """Points of each against the field and the free space of the other. `read` gets a neural map by its hash."""
+        ...
+
+    def judge(self, aligned: AlignedMaps, surfaces: SurfaceEvidence | None, scale: float) -> Judgement:
+        """The first reason against, without `surfaces` by the loops alone."""
+        ...

@@ -1,0 +1,157 @@
+"""The optimisation of a map's pose graph, as the workers call it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from revisit.core.geometry.se3 import Matrix4
+from revisit.service.domain.states import GraphState
+
+Array64 = NDArray[np.float64]
+
+Told = Callable[[str, int, int], None]
+"""Called with a stage, and how much of how much of it is done. May raise, which ends the work."""
+
+
+@dataclass(frozen=True)
+class SessionTrack:
+    """The submaps of a session in the order of their drive, by number, and where its odometry saw them (n, 4, 4)."""
+
+    session_number: int
+    submaps: tuple[int, ...]
+    T_odom_submap: Array64
+
+
+@dataclass(frozen=True)
+class TrackLoop:
+    """A loop of number `number` between two submaps, by number.
+
+    T_match_query (4, 4); covariance (6, 6) of its tangent (x, y, z, rx, ry, rz) in the match frame, metres and radians,
+    None where nobody measured it.
+    """
+
+    number: int
+    match: int
+    query: int
+    T_match_query: Matrix4
+    covariance: Array64 | None
+
+
+@dataclass(frozen=True)
+class MapGraph:
+    """The sessions of a map and the accepted loops between their submaps, each of which covers `window_m` metres.
+
+    Of sessions that loops join, the first that `anchors` numbers gives the frame; the oldest where it is empty.
+    """
+
+    tracks: tuple[SessionTrack, ...]
+    loops: tuple[TrackLoop, ...]
+    window_m: float
+    anchors: tuple[int, ...] = ()
+
+
+@dataclass(frozen=True)
+class OptimisedTrack:
+    """A session in a frame of the map, which is the odometry frame of the session of number `anchor`.
+
+    T_map_submap (n, 4, 4) and covariances (n, 6, 6), each of the tangent (x, y, z, rx, ry, rz) in the submap's frame,
+    are of the submaps of its track; T_map_odom (4, 4) is its correction as of the last of them.
+    """
+
+    session_number: int
+    anchor: int
+    T_map_odom: Matrix4
+    T_map_submap: Array64
+    covariances: Array64
+
+
+@dataclass(frozen=True)
+class JudgedLoop:
+    """What the graph says of a loop; its squared Mahalanobis distance from the poses, NaN where it is UNCONNECTED."""
+
+    number: int
+    state: GraphState
+    squared_distance: float
+
+
+FAULTS = "odometry_faults"
+"""Where the stored summary of a version keeps the faults of odometry, beside the fields of a MapVersionSummary."""
+
+
+@dataclass(frozen=True)
+class TrackFault:
+    """A fault of a session's odometry that was mended before its loops were judged.
+
+    It lies between the submaps `first` and `last` of its track, from 0. amount: metres (SLIP, JUMP), radians (TURN,
+    TILT), or what goes on throughout: metres (SCALE, SLOPE) or radians (HEADING) a metre; sigma is its standard
+    deviation. `loops` speak for it.
+    """
+
+    session_number: int
+    kind: str
+    first: int
+    last: int
+    amount: float
+    sigma: float
+    loops: int
+
+
+@dataclass(frozen=True)
+class OptimisedMap:
+    """The most likely poses, what they say of every loop, how well they fit (`chi2` by `degrees_of_freedom`), and the
+    faults of odometry without which they do.
+    """
+
+    tracks: tuple[OptimisedTrack, ...]
+    loops: tuple[JudgedLoop, ...]
+    chi2: float
+    degrees_of_freedom: int
+    faults: tuple[TrackFault, ...] = ()
+
+
+@dataclass(frozen=True)
+class SolvedTrack:
+    """The poses (n, 4, 4) of a session's submaps by an earlier optimisation, in the frame of session `anchor`."""
+
+    session_number: int
+    anchor: int
+    T_map_submap: Array64
+
+
+class SolvedMap(Protocol):
+    """A map that was optimised, to which single submaps and loops are added. It keeps what makes that fast."""
+
+    def append(self, session_number: int, submap: int, T_odom_submap: Matrix4) -> None:
+        """A further submap, by number, of a session; one of a session that the map does not have changes nothing."""
+        ...
+
+    def add(self, loop: TrackLoop) -> bool:
+        """Take in a loop; whether it moves the map. It does not where it contradicts it, or joins what shares no
+        frame.
+        """
+        ...
+
+    def corrections(self) -> dict[int, Matrix4]:
+        """T_map_odom (4, 4) by number of the sessions whose frames have taken in loops, as of their last submaps."""
+        ...
+
+    def refresh(self) -> None:
+        """Prepare for further loops, when there is time."""
+        ...
+
+
+class MapOptimiser(Protocol):
+    """Places the sessions of a map to each other."""
+
+    def optimise(self, graph: MapGraph, told: Told) -> OptimisedMap:
+        """The same graph gives the same answer, bit for bit. Tracks and loops answer in their order."""
+        ...
+
+    def solved(self, graph: MapGraph, tracks: Sequence[SolvedTrack]) -> SolvedMap:
+        """The map with poses of the tracks of the graph in their order; they rest on all of its loops."""
+        ...

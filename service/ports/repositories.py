@@ -1,0 +1,228 @@
+"""Repositories: the rows of each record, by tenant."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol, TypeVar
+
+from revisit.service.domain.identity import TenantId
+from revisit.service.domain.records import JobRecord, LoopRecord, Pose, ScanRecord, SubmapRecord
+from revisit.service.ports.clock import Instant
+
+R = TypeVar("R")
+
+
+class RowReader(Protocol[R]):
+    """Reads records of one kind. The tenant is part of every query."""
+
+    def get(self, tenant: TenantId, *key: str | int) -> R | None:
+        """The record with this key, or None."""
+        ...
+
+    def find(
+        self, tenant: TenantId, *, after: int = 0, limit: int | None = None, **equals: str | int | None
+    ) -> list[R]:
+        """Records whose fields equal `equals` and whose number is above `after`, by number, at most `limit`."""
+        ...
+
+    def numbered(self, tenant: TenantId, numbers: Sequence[int]) -> dict[int, R]:
+        """The records of this tenant with these numbers (at most 1000), by number; missing ones are left out."""
+        ...
+
+    def distinct(self, tenant: TenantId, field: str, **equals: str | int | None) -> set[Any]:
+        """The values that a field has in the records that `find` would give; without None."""
+        ...
+
+    def count(self, tenant: TenantId, **equals: str | int | None) -> int:
+        """How many records `find` would give."""
+        ...
+
+
+class RowWriter(Protocol[R]):
+    """Adds, changes and deletes records of one kind."""
+
+    def add(self, record: R) -> R:
+        """Store a new record and return it with its number. Raises AlreadyExists where its key is taken."""
+        ...
+
+    def add_all(self, records: Sequence[R]) -> None:
+        """Store new records in few statements, without telling their numbers. Raises AlreadyExists."""
+        ...
+
+    def replace(self, record: R) -> None:
+        """Overwrite the record of this number. Raises NotFound where there is none."""
+        ...
+
+    def revise(self, records: Sequence[R], **fields: str | int | None) -> None:
+        """Give records of one tenant, told by their numbers, the same values of some fields, in few statements.
+
+        What else is stored stays, whatever `records` hold of it. Raises NotFound where one is gone.
+        """
+        ...
+
+    def delete(self, tenant: TenantId, **equals: str | int | None) -> int:
+        """Delete what `find` would give in `UnitOfWork.everything`; how many."""
+        ...
+
+
+class RowEraser(Protocol[R]):
+    """Deletes many records of one kind, a portion at a time."""
+
+    def some(self, tenant: TenantId, limit: int, **equals: str | int | None) -> list[R]:
+        """At most `limit` of what `find` would give, in any order: however many there are, it takes no longer."""
+        ...
+
+    def named(self, tenant: TenantId, field: str, values: Collection[str]) -> set[str]:
+        """Those of these values that `field` has in a record that is seen."""
+        ...
+
+    def delete_some(self, tenant: TenantId, limit: int, field: str, values: Sequence[str | int]) -> int:
+        """Delete at most `limit` of the records, seen or not, whose `field` has one of `values`; how many."""
+        ...
+
+
+class RowsOfAllTenants(Protocol[R]):
+    """Reads records of one kind across tenants, for the upkeep of the service; no answer to a client rests on it."""
+
+    def count_of_all_tenants(self, **equals: str | int | None) -> int:
+        """How many records all tenants have together, for those who look after the service."""
+        ...
+
+    def of_all_tenants(self, *, after: int = 0, limit: int | None = None) -> list[R]:
+        """As `find`, of every tenant, for those who look after the service."""
+        ...
+
+
+class Repository(RowReader[R], RowWriter[R], RowEraser[R], RowsOfAllTenants[R], Protocol[R]):
+    """Records of one kind. The tenant is part of every key."""
+
+
+class ScanRepository(Repository[ScanRecord], Protocol):
+    """Scans, also by distance travelled and by range of sequence numbers."""
+
+    def first_seq_from(self, tenant: TenantId, map_id: str, session_id: str, travelled_m: float) -> int | None:
+        """The first scan of a session taken at or beyond `travelled_m`."""
+        ...
+
+    def points_of(self, tenant: TenantId) -> int:
+        """How many points the clouds of a tenant's scans have together."""
+        ...
+
+    def with_seqs(self, tenant: TenantId, map_id: str, session_id: str, seqs: Sequence[int]) -> list[ScanRecord]:
+        """Those scans of a session that have one of these numbers, in order."""
+        ...
+
+
+@dataclass(frozen=True)
+class PlacedSubmap:
+    """Number of a submap, number of its session, place in the order of the drive, and pose in the odometry frame."""
+
+    number: int
+    session_number: int
+    ordinal: int
+    T_odom_submap: Pose
+
+
+@dataclass(frozen=True)
+class PathPoint:
+    """A submap of a drive: its number, its place in the order of the drive, its position in the odometry frame."""
+
+    number: int
+    ordinal: int
+    position_m: tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class FoundSubmap:
+    """What a search tells of a submap: its number and names, and its position in the odometry frame of its session."""
+
+    number: int
+    map_id: str
+    session_id: str
+    submap_id: str
+    position_m: tuple[float, float, float]
+
+
+class FoundSubmaps(Protocol):
+    """Submaps as a search tells of them."""
+
+    def found(self, tenant: TenantId, numbers: Sequence[int]) -> dict[int, FoundSubmap]:
+        """As `numbered`, as much of the submaps as a search tells."""
+        ...
+
+
+class SubmapRepository(Repository[SubmapRecord], FoundSubmaps, Protocol):
+    """Submaps, also by how far a map has come with them."""
+
+    def last_number(self, tenant: TenantId) -> int:
+        """The last number that a submap of the tenant was given, deleted since or not; 0 for none."""
+        ...
+
+    def points_of(self, tenant: TenantId) -> int:
+        """How many points the clouds have together that a tenant has posted as submaps."""
+        ...
+
+    def placed(self, tenant: TenantId, map_id: str, after: int = 0) -> list[PlacedSubmap]:
+        """Every submap of a map whose number is above `after`, with its place in its session: by session and then in
+        the order of the drive.
+        """
+        ...
+
+    def path(
+        self, tenant: TenantId, map_id: str, session_id: str, ordinal: int, limit: int, *, back: bool = False
+    ) -> list[PathPoint]:
+        """The next `limit` submaps of a session behind place `ordinal`, or, with `back`, before it: nearest first."""
+        ...
+
+    def first_waiting(self, tenant: TenantId, map_id: str) -> int | None:
+        """The lowest number of a submap of a map that is still queued; None where none is."""
+        ...
+
+    def flag_counts(self, tenant: TenantId, map_id: str, session_id: str) -> dict[str, int]:
+        """Flag -> how many submaps of a session have it; of failed ones also the code of the failure."""
+        ...
+
+
+class LoopRepository(Repository[LoopRecord], Protocol):
+    """Loop closures, also those of several submaps."""
+
+    def telling(self, tenant: TenantId, query_numbers: Sequence[int], reasons: Sequence[str]) -> list[LoopRecord]:
+        """Those of these queries (at most 1000) that were accepted, or have one of `reasons`: by query and number."""
+        ...
+
+    def reasons(self, tenant: TenantId, numbers: Sequence[int]) -> dict[str | None, int]:
+        """Reason -> how many loops have it that one of these submaps (at most 500) is in; None of accepted ones."""
+        ...
+
+
+class AwaitedJobs(Repository[JobRecord], Protocol):
+    """Jobs that clients wait for."""
+
+    def unfinished(self, tenant: TenantId, operation_ids: Collection[str]) -> frozenset[str]:
+        """Those of these operations that wait or run."""
+        ...
+
+
+class JobRepository(AwaitedJobs, Protocol):
+    """Jobs, also across tenants for those who run them."""
+
+    def next_runnable(self, now: Instant, tenant: TenantId) -> JobRecord | None:
+        """A job that is queued and due, or whose lease has run out with attempts left: the most urgent, then oldest."""
+        ...
+
+    def exhausted(self, now: Instant) -> list[JobRecord]:
+        """Jobs running on a lease that has run out, with no attempts left."""
+        ...
+
+    def leased_to(self, owner: str | None) -> list[JobRecord]:
+        """The running jobs of a worker, or of all."""
+        ...
+
+    def forget_answers(self, before_ns: int, limit: int) -> int:
+        """Delete the first `limit` queries (jobs of priority 0), of all tenants, that ended before then; how many."""
+        ...
+
+    def oldest_queued_ns(self) -> int | None:
+        """When the longest waiting job of any tenant was made, nanoseconds since 1970; None where none waits."""
+        ...

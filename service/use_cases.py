@@ -1,0 +1,131 @@
+"""The use cases, in folders by what they are about, and the ports they need. REST and gRPC call these and nothing else.
+
+    contract       names, records, errors, limits, ports
+    capacity       whether a request is accepted now: rate limits, in-flight, backlog
+    access         who calls: authentication, API keys, the audit log
+    ingest         scans and submaps coming in
+    catalogue      maps, robots, sessions, submaps: create, get, list, delete
+    query          searches, loop closures, operations
+    push           watching the events of a map; webhooks
+    mapping        one map out of many sessions: versions of its poses, merges, corrections, decisions on loops
+    housekeeping   sweeping, retention, the index, dead letters, readiness
+    recognise      what a worker does with a job
+
+Every call takes the tenant first; a resource of another tenant is NotFound. Calls that change something return after
+the commit; a caller that goes away does not undo it. Errors are `core.errors.RevisitError` subclasses.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from revisit.service.capacity.admission import Admission
+from revisit.service.capacity.backlog import JobPosting
+from revisit.service.capacity.byte_budget import ByteBudget
+from revisit.service.context import ServiceContext
+from revisit.service.domain.identity import DEFAULT_TENANT, SessionKey, SubmapKey, TenantId
+from revisit.service.domain.policy import Policy
+from revisit.service.features.audit.calls import AuditLog
+from revisit.service.features.catalogue.downloads import Rendering
+from revisit.service.features.catalogue.maps import Maps
+from revisit.service.features.catalogue.meshes import SubmapMeshes
+from revisit.service.features.catalogue.robots import Robots
+from revisit.service.features.catalogue.sessions import Sessions
+from revisit.service.features.catalogue.submaps import Submaps
+from revisit.service.features.corrections.calls import Corrections
+from revisit.service.features.deletion.blob_references import BlobCollector
+from revisit.service.features.events.calls import Events
+from revisit.service.features.ingest.calls import Scans
+from revisit.service.features.ingest.posting import SubmapPosting
+from revisit.service.features.keys.admission import Access, AccessRules
+from revisit.service.features.keys.calls import ApiKeys
+from revisit.service.features.loops.calls import Loops
+from revisit.service.features.loops.decisions import LoopDecisions
+from revisit.service.features.loops.keypoints import LoopKeypointReading
+from revisit.service.features.merging.calls import MapMerges
+from revisit.service.features.operations.calls import Operations
+from revisit.service.features.operations.dead_letters import DeadLetters
+from revisit.service.features.operations.worker_answers import WorkerAnswers
+from revisit.service.features.optimisation.calls import MapVersions
+from revisit.service.features.publishing.calls import MapFiles
+from revisit.service.features.resources.paging import Lists, PageTokens
+from revisit.service.features.search.calls import Searches
+from revisit.service.features.tiles.calls import MapTiles
+from revisit.service.features.upkeep.calls import System
+from revisit.service.features.waiting.event_tail import EventTail
+from revisit.service.features.waiting.freshness import ReadYourWrites
+from revisit.service.features.webhooks.calls import Webhooks
+
+
+@dataclass(frozen=True)
+class UseCases:
+    """Everything a transport can ask for."""
+
+    maps: Maps
+    robots: Robots
+    sessions: Sessions
+    scans: Scans
+    posting: SubmapPosting
+    submaps: Submaps
+    searches: Searches
+    loops: Loops
+    loop_keypoints: LoopKeypointReading
+    operations: Operations
+    events: Events
+    webhooks: Webhooks
+    map_versions: MapVersions
+    map_merges: MapMerges
+    map_tiles: MapTiles
+    map_files: MapFiles
+    corrections: Corrections
+    loop_decisions: LoopDecisions
+    dead_letters: DeadLetters
+    system: System
+    admission: Admission
+    access: Access
+    keys: ApiKeys
+    audit: AuditLog
+    budget: ByteBudget
+
+    @classmethod
+    def over(cls, of: ServiceContext, version: str, rules: AccessRules = AccessRules()) -> UseCases:
+        """All use cases of an context; `version` is the product's."""
+        storage, clock, policy, streams, decoder = of.storage, of.clock, of.policy, of.open_streams, of.decoder
+        backlog, lists = of.backlog, Lists(storage, of.in_flight, PageTokens(of.secret))
+        admission = Admission(of.stopping, of.disk, of.in_flight, backlog, of.quota)
+        jobs, collector = JobPosting(backlog, clock, policy), BlobCollector(storage)
+        rendering = Rendering(of.in_flight)
+        glance, writes = EventTail(storage, admission), ReadYourWrites(storage, admission)
+        operations, audit = Operations(storage, lists, admission, clock), AuditLog(storage, clock)
+        answers = WorkerAnswers(storage, admission, jobs, operations)
+        meshes = SubmapMeshes(storage, admission, answers)
+        return cls(
+            maps=Maps(storage, lists, admission, of.erasure, of.index, streams, clock, policy),
+            robots=Robots(storage, lists, admission, clock),
+            sessions=Sessions(storage, lists, admission, jobs, collector, of.erasure, streams, clock, policy),
+            scans=Scans(storage, admission, decoder, jobs, of.in_flight, streams, clock, policy),
+            posting=SubmapPosting(storage, admission, decoder, jobs, clock),
+            submaps=Submaps(storage, lists, admission, collector, rendering, clock, policy, meshes),
+            searches=Searches(storage, admission, decoder, of.memory, answers, writes),
+            loops=Loops(storage, lists, admission, glance, writes),
+            loop_keypoints=LoopKeypointReading(storage, admission, policy),
+            operations=operations,
+            events=Events(storage, admission, glance),
+            webhooks=Webhooks(storage, lists, admission, clock, policy.webhook_private_networks),
+            map_versions=MapVersions(storage, lists, admission, clock, policy),
+            map_merges=MapMerges(storage, lists, admission, jobs, collector, of.erasure, clock),
+            map_tiles=MapTiles(storage, lists, admission, jobs, operations, rendering, policy),
+            map_files=MapFiles(storage, lists, admission, jobs, collector, clock),
+            corrections=Corrections(storage, admission, glance),
+            loop_decisions=LoopDecisions(storage, admission, lists, jobs, clock, policy),
+            dead_letters=DeadLetters(storage, admission, backlog, policy),
+            system=System(storage, admission, of.disk, of.index_health, clock, version),
+            admission=admission,
+            access=Access(storage, audit, clock, rules, of.pace),
+            keys=ApiKeys(storage, clock),
+            audit=audit,
+            budget=of.budget,
+        )
+
+
+__all__ = ["DEFAULT_TENANT", "Policy", "ServiceContext", "SessionKey", "SubmapKey", "TenantId", "UseCases"]
