@@ -17,9 +17,10 @@ from revisit.core.merge.overlap import (
     loops_refusal,
     pairs_in_reach,
     refusal,
+    surfaces_refusal,
 )
 
 __all__ = [
     "MergeEvidence", "MergeLimits", "MergeRefusal", "PlacedMap", "compare_pairs", "compare_surfaces", "loops_refusal",
-    "merge_neural_maps", "pairs_in_reach", "refusal",
+    "merge_neural_maps", "pairs_in_reach", "refusal", "surfaces_refusal",
 ]  # fmt: skip

@@ -151,13 +151,17 @@ def refusal(
     limits: MergeLimits = MergeLimits(),
 ) -> MergeRefusal | None:
     """The first reason against joining, of the loops or of the surfaces, None where there is none."""
+    return loops_refusal(loops, common_track_m, rival_loops, limits) or surfaces_refusal(evidence, limits)
+
+
+def surfaces_refusal(evidence: MergeEvidence, limits: MergeLimits = MergeLimits()) -> MergeRefusal | None:
+    """The first reason that the surfaces give against joining, None where there is none."""
     reasons = (
         (evidence.common_points < limits.common_points, MergeRefusal.OVERLAP_TOO_SMALL),
         (evidence.residual_m > limits.median_residual_m, MergeRefusal.SURFACES_DISAGREE),
         (evidence.seen_through_share > limits.seen_through_share, MergeRefusal.FREE_SPACE_VIOLATED),
     )
-    of_surfaces = next((reason for holds, reason in reasons if holds), None)
-    return loops_refusal(loops, common_track_m, rival_loops, limits) or of_surfaces
+    return next((reason for holds, reason in reasons if holds), None)
 
 
 def seen_from(one: PlacedMap, other: PlacedMap) -> Array:

@@ -10,7 +10,7 @@ import typer
 from revisit.cli import map_tiles, map_versions
 from revisit.cli.merging import show_changes
 from revisit.cli.options import HTTP, Http, Json, MapName
-from revisit.cli.output import emit_json, emit_table, refuse, utc
+from revisit.cli.output import emit_json, emit_table, refuse, say, utc
 from revisit.cli.waiting import waited
 
 if TYPE_CHECKING:
@@ -87,7 +87,8 @@ def merges(
         raise refuse("give either --changes or --undo")
     with Client(http) as client:
         if changes:
-            _emit_changes(list(_last_merge(client, map_id).changes), json)
+            merge = _last_merge(client, map_id, "; sessions of one map are not compared")
+            _emit_changes(list(merge.changes), json)
         elif undo:
             _emit_undone(client.revert_merge(_last_merge(client, map_id)), json)
         elif json:
@@ -96,11 +97,11 @@ def merges(
             _show_merges(client.map_merges(f"maps/{map_id}"))
 
 
-def _last_merge(client: Client, map_id: str) -> MapMerge:
-    """The last merge into a map that was not taken back. Exits where there is none."""
+def _last_merge(client: Client, map_id: str, hint: str = "") -> MapMerge:
+    """The last merge into a map that was not taken back. Exits where there is none, and gives the hint."""
     held = [merge for merge in client.map_merges(f"maps/{map_id}") if merge.reverted_at_ns is None]
     if not held:
-        raise refuse(f"nothing was merged into map {map_id}")
+        raise refuse(f"no merge into map {map_id} is in force{hint}")
     return held[-1]
 
 
@@ -159,3 +160,6 @@ def _show(found: list[MapVersion]) -> None:
     ]
     columns = ("version", "made", "brought back", "sessions", "frames", "submaps", "loops", "set aside", "chi2 / dof")
     emit_table("Versions, * is in force", (*columns, "moved at most m"), rows)
+    for one in (join for version in found if version.in_force for join in version.summary.refused_joins):
+        sides = (", ".join(name.rpartition("/")[2] for name in side) for side in (one.sessions, one.other_sessions))
+        say(f"Kept apart by their surfaces: {' and '.join(sides)} ({one.reason}, {one.loops} loops).")

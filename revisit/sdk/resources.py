@@ -644,11 +644,43 @@ class MapFile:
 
 
 @dataclass(frozen=True)
+class RefusedJoin:
+    """Sessions, by name on both sides, that `loops` would join and whose surfaces contradict it.
+
+    reason: OVERLAP_TOO_SMALL, SURFACES_DISAGREE or FREE_SPACE_VIOLATED; residual_m, median distance of the common
+    points from the other surface, metres, None without any; seen_through_share of the points, 0 to 1, stand where the
+    other side looked through.
+    """
+
+    sessions: tuple[str, ...]
+    other_sessions: tuple[str, ...]
+    reason: str
+    loops: int
+    common_points: int
+    residual_m: float | None
+    seen_through_share: float
+
+    @classmethod
+    def of(cls, message: mapping_pb2.RefusedJoin) -> Self:
+        """From its message."""
+        return cls(
+            tuple(message.sessions),
+            tuple(message.other_sessions),
+            message.reason,
+            message.loops,
+            message.common_points,
+            _optional(message, "residual_m"),
+            message.seen_through_share,
+        )
+
+
+@dataclass(frozen=True)
 class MapVersionSummary:
     """What a version of a map rests on.
 
     `frames` counts the groups of sessions that loops join; chi2 is to be compared with `degrees_of_freedom`; changes
-    are how far submaps lie from where the version before had them, metres, None where none can be compared.
+    are how far submaps lie from where the version before had them, metres, None where none can be compared;
+    `refused_joins` are what surfaces kept apart.
     """
 
     sessions: int
@@ -661,13 +693,16 @@ class MapVersionSummary:
     degrees_of_freedom: int
     mean_change_m: float | None
     max_change_m: float | None
+    refused_joins: tuple[RefusedJoin, ...] = ()
 
     @classmethod
     def of(cls, message: mapping_pb2.MapVersionSummary) -> Self:
         """From its message."""
-        optional = ("mean_change_m", "max_change_m")
-        given = {item.name: getattr(message, item.name) for item in fields(cls) if item.name not in optional}
-        return cls(**given, **{name: _optional(message, name) for name in optional})
+        special = ("mean_change_m", "max_change_m", "refused_joins")
+        given = {item.name: getattr(message, item.name) for item in fields(cls) if item.name not in special}
+        refused = tuple(RefusedJoin.of(one) for one in message.refused_joins)
+        changes = {name: _optional(message, name) for name in special[:2]}
+        return cls(**given, **changes, refused_joins=refused)
 
 
 @dataclass(frozen=True)

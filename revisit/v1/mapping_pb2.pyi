@@ -31,7 +31,7 @@ class MapVersion(_message.Message):
     def __init__(self, name: _Optional[str] = ..., version: _Optional[int] = ..., in_force: _Optional[bool] = ..., restored_from: _Optional[int] = ..., content_hash: _Optional[str] = ..., operation: _Optional[str] = ..., created_at_ns: _Optional[int] = ..., summary: _Optional[_Union[MapVersionSummary, _Mapping]] = ...) -> None: ...
 
 class MapVersionSummary(_message.Message):
-    __slots__ = ("sessions", "submaps", "frames", "loops_in_map", "loops_set_aside", "loops_unconnected", "chi2", "degrees_of_freedom", "mean_change_m", "max_change_m")
+    __slots__ = ("sessions", "submaps", "frames", "loops_in_map", "loops_set_aside", "loops_unconnected", "chi2", "degrees_of_freedom", "mean_change_m", "max_change_m", "refused_joins")
     SESSIONS_FIELD_NUMBER: _ClassVar[int]
     SUBMAPS_FIELD_NUMBER: _ClassVar[int]
     FRAMES_FIELD_NUMBER: _ClassVar[int]
@@ -42,6 +42,7 @@ class MapVersionSummary(_message.Message):
     DEGREES_OF_FREEDOM_FIELD_NUMBER: _ClassVar[int]
     MEAN_CHANGE_M_FIELD_NUMBER: _ClassVar[int]
     MAX_CHANGE_M_FIELD_NUMBER: _ClassVar[int]
+    REFUSED_JOINS_FIELD_NUMBER: _ClassVar[int]
     sessions: int
     submaps: int
     frames: int
@@ -52,7 +53,26 @@ class MapVersionSummary(_message.Message):
     degrees_of_freedom: int
     mean_change_m: float
     max_change_m: float
-    def __init__(self, sessions: _Optional[int] = ..., submaps: _Optional[int] = ..., frames: _Optional[int] = ..., loops_in_map: _Optional[int] = ..., loops_set_aside: _Optional[int] = ..., loops_unconnected: _Optional[int] = ..., chi2: _Optional[float] = ..., degrees_of_freedom: _Optional[int] = ..., mean_change_m: _Optional[float] = ..., max_change_m: _Optional[float] = ...) -> None: ...
+    refused_joins: _containers.RepeatedCompositeFieldContainer[RefusedJoin]
+    def __init__(self, sessions: _Optional[int] = ..., submaps: _Optional[int] = ..., frames: _Optional[int] = ..., loops_in_map: _Optional[int] = ..., loops_set_aside: _Optional[int] = ..., loops_unconnected: _Optional[int] = ..., chi2: _Optional[float] = ..., degrees_of_freedom: _Optional[int] = ..., mean_change_m: _Optional[float] = ..., max_change_m: _Optional[float] = ..., refused_joins: _Optional[_Iterable[_Union[RefusedJoin, _Mapping]]] = ...) -> None: ...
+
+class RefusedJoin(_message.Message):
+    __slots__ = ("sessions", "other_sessions", "reason", "loops", "common_points", "residual_m", "seen_through_share")
+    SESSIONS_FIELD_NUMBER: _ClassVar[int]
+    OTHER_SESSIONS_FIELD_NUMBER: _ClassVar[int]
+    REASON_FIELD_NUMBER: _ClassVar[int]
+    LOOPS_FIELD_NUMBER: _ClassVar[int]
+    COMMON_POINTS_FIELD_NUMBER: _ClassVar[int]
+    RESIDUAL_M_FIELD_NUMBER: _ClassVar[int]
+    SEEN_THROUGH_SHARE_FIELD_NUMBER: _ClassVar[int]
+    sessions: _containers.RepeatedScalarFieldContainer[str]
+    other_sessions: _containers.RepeatedScalarFieldContainer[str]
+    reason: str
+    loops: int
+    common_points: int
+    residual_m: float
+    seen_through_share: float
+    def __init__(self, sessions: _Optional[_Iterable[str]] = ..., other_sessions: _Optional[_Iterable[str]] = ..., reason: _Optional[str] = ..., loops: _Optional[int] = ..., common_points: _Optional[int] = ..., residual_m: _Optional[float] = ..., seen_through_share: _Optional[float] = ...) -> None: ...
 
 class SubmapPose(_message.Message):
     __slots__ = ("submap", "t_map_submap", "frame", "covariance")

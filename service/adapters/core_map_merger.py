@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import asdict
 from functools import lru_cache, partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
+from revisit.core.errors import DataLoss
+from revisit.core.geometry.se3 import Matrix4
 from revisit.service.adapters.core_map_optimiser import NamedGraph
 from revisit.service.domain.states import ChangeKind
 from revisit.service.ports.map_merger import (
@@ -17,13 +20,14 @@ from revisit.service.ports.map_merger import (
     Judgement,
     MapChange,
     PlacedSubmapMap,
+    SurfaceAudit,
     SurfaceEvidence,
 )
 from revisit.service.ports.map_optimiser import MapGraph, Told, TrackLoop
 
 if TYPE_CHECKING:
     from revisit.core.implicit_map import DecoderWeights
-    from revisit.core.merge import PlacedMap
+    from revisit.core.merge import MergeEvidence, PlacedMap
 
 REACH_M = 25.0
 """Submaps farther apart are not compared, metres in a scene of the size of a street."""
@@ -77,16 +81,47 @@ class CoreMapMerger:
 
         if not first or not second:
             return SurfaceEvidence(0, 0.0, float("inf"), 1.0, 0.0, ())
-        places = [np.stack([one.T_map_submap[:3, 3] for one in group]) for group in (first, second)]
-        pairs = pairs_in_reach(places[0], places[1], REACH_M * scale, most=MOST_COMPARED)
+        poses = [np.stack([one.T_map_submap for one in group]) for group in (first, second)]
+        pairs = pairs_in_reach(poses[0][:, :3, 3], poses[1][:, :3, 3], REACH_M * scale, most=MOST_COMPARED)
         load = _loader(read)
-        placed = list(_loaded(pairs, first, second, load, told))
-        found = compare_pairs(placed)
+        placed = []
+        for done, (one, other) in enumerate(pairs):
+            told("COMPARE_SURFACES", done, len(pairs))
+            ends = first[one], second[other]
+            placed.append((load(ends[0].sha256, ends[0].T_map_submap), load(ends[1].sha256, ends[1].T_map_submap)))
         changes = changes_between(placed)
-        return SurfaceEvidence(
-            found.common_points, found.overlap_share, found.residual_m, found.far_share, found.seen_through_share,
+        return _evidence(
+            compare_pairs(placed),
             tuple(MapChange(ChangeKind(one.kind.value), one.centre_m, one.extent_m, one.points) for one in changes),
-        )  # fmt: skip
+        )
+
+    def audit(
+        self,
+        first: Mapping[int, Matrix4],
+        second: Mapping[int, Matrix4],
+        read: Callable[[int], bytes],
+        scale: float,
+        most: int,
+        told: Told,
+    ) -> SurfaceAudit | None:
+        """See `MapMerger`."""
+        from revisit.core.merge import MergeLimits, compare_pairs, pairs_in_reach, surfaces_refusal
+
+        poses = [np.stack(list(group.values())) for group in (first, second)]
+        rows = pairs_in_reach(poses[0][:, :3, 3], poses[1][:, :3, 3], REACH_M * scale, most=most)
+        numbers = list(first), list(second)
+        load = _loader(read)
+        placed = []
+        for done, (one, other) in enumerate(rows):
+            told("COMPARE_SURFACES", done, len(rows))
+            with suppress(DataLoss):
+                ends = (load(numbers[0][one], poses[0][one]), load(numbers[1][other], poses[1][other]))
+                placed.append(ends)
+        if rows and not placed:
+            return None
+        found = compare_pairs(placed)
+        reason = surfaces_refusal(found, MergeLimits().scaled(scale))
+        return SurfaceAudit(_evidence(found), None if reason is None else reason.value)
 
     def judge(self, aligned: AlignedMaps, surfaces: SurfaceEvidence | None, scale: float) -> Judgement:
         """See `MapMerger`."""
@@ -105,16 +140,26 @@ class CoreMapMerger:
         return Judgement(None if reason is None else reason.value, asdict(limits))
 
 
-def _loader(read: Callable[[str], bytes]) -> Callable[[PlacedSubmapMap], PlacedMap]:
+def _evidence(found: MergeEvidence, changes: tuple[MapChange, ...] = ()) -> SurfaceEvidence:
+    return SurfaceEvidence(
+        found.common_points, found.overlap_share, found.residual_m, found.far_share, found.seen_through_share, changes
+    )
+
+
+Key = TypeVar("Key", str, int)
+
+
+def _loader(read: Callable[[Key], bytes]) -> Callable[[Key, Matrix4], PlacedMap]:
+    """What places a neural map; those of the last HELD_MAPS keys stay decoded."""
     from revisit.core.config import ImplicitMapConfig
     from revisit.core.implicit_map import NeuralMap
     from revisit.core.merge import PlacedMap
 
     @lru_cache(maxsize=HELD_MAPS)
-    def neural_map(sha256: str) -> NeuralMap:
-        return NeuralMap.from_blob(read(sha256), _decoder(), ImplicitMapConfig())
+    def neural_map(key: Key) -> NeuralMap:
+        return NeuralMap.from_blob(read(key), _decoder(), ImplicitMapConfig())
 
-    return lambda one: PlacedMap(neural_map(one.sha256), one.T_map_submap)
+    return lambda key, T_map_submap: PlacedMap(neural_map(key), T_map_submap)
 
 
 @lru_cache(maxsize=1)
@@ -122,15 +167,3 @@ def _decoder() -> DecoderWeights:
     from revisit.core.model_bundle import load_packaged_models
 
     return load_packaged_models().decoder
-
-
-def _loaded(
-    pairs: list[tuple[int, int]],
-    first: Sequence[PlacedSubmapMap],
-    second: Sequence[PlacedSubmapMap],
-    load: Callable[[PlacedSubmapMap], PlacedMap],
-    told: Told,
-) -> Iterator[tuple[PlacedMap, PlacedMap]]:
-    for done, (one, other) in enumerate(pairs):
-        told("COMPARE_SURFACES", done, len(pairs))
-        yield load(first[one]), load(second[other])

@@ -79,8 +79,9 @@ class NamedGraph:
             for track in graph.tracks
             for place, number in enumerate(track.submaps)
         }
+        usable = [loop for loop in graph.loops if loop.number not in graph.refused]
         anchors = tuple(names[number] for number in graph.anchors or sorted(names))
-        posed = PoseGraph.of(trajectories, _edges(graph.loops, nodes), anchors)
+        posed = PoseGraph.of(trajectories, _edges(usable, nodes), anchors)
         return cls(graph, names, weighed(posed, graph.window_m), nodes)
 
     def edges(self, loops: Sequence[TrackLoop]) -> list[LoopEdge]:
@@ -93,6 +94,10 @@ class NamedGraph:
         judged = {
             loop_number(loop): JudgedLoop(loop_number(loop), GraphState(state.value), float(distance))
             for loop, state, distance in zip(self.posed.loops, optimised.loops, optimised.residuals, strict=True)
+        }
+        judged |= {
+            number: JudgedLoop(number, GraphState.SET_ASIDE, np.nan, reason)
+            for number, reason in self.graph.refused.items()
         }
         loops = tuple(judged[loop.number] for loop in self.graph.loops)
         numbers = {name: number for number, name in self.names.items()}

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -76,6 +76,16 @@ class Judgement:
     limits: dict[str, float]
 
 
+@dataclass(frozen=True)
+class SurfaceAudit:
+    """The surfaces of two placed groups of submaps: what they say of each other, and the reason that they give against
+    joining, None where they give none.
+    """
+
+    evidence: SurfaceEvidence
+    refusal: str | None
+
+
 class MapMerger(Protocol):
     """Finds out whether two maps are one."""
 
@@ -104,6 +114,22 @@ class MapMerger(Protocol):
         told: Told,
     ) -> SurfaceEvidence:
         """Points of each against the field and the free space of the other. `read` gets a neural map by its hash."""
+        ...
+
+    def audit(
+        self,
+        first: Mapping[int, Matrix4],
+        second: Mapping[int, Matrix4],
+        read: Callable[[int], bytes],
+        scale: float,
+        most: int,
+        told: Told,
+    ) -> SurfaceAudit | None:
+        """The surfaces alone, by at most `most` pairs of submaps spread over the whole overlap; changes are not sought.
+
+        T_map_submap (4, 4) of each group's submaps by number. `read` gets the neural map of one, and raises DataLoss
+        where there is none: such pairs do not count. None where submaps lie near each other and no pair can be read.
+        """
         ...
 
     def judge(self, aligned: AlignedMaps, surfaces: SurfaceEvidence | None, scale: float) -> Judgement:

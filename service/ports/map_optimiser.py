@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
@@ -47,12 +47,14 @@ class MapGraph:
     """The sessions of a map and the accepted loops between their submaps, each of which covers `window_m` metres.
 
     Of sessions that loops join, the first that `anchors` numbers gives the frame; the oldest where it is empty.
+    `refused` loops, by number, each with the reason, count for nothing and are SET_ASIDE.
     """
 
     tracks: tuple[SessionTrack, ...]
     loops: tuple[TrackLoop, ...]
     window_m: float
     anchors: tuple[int, ...] = ()
+    refused: Mapping[int, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -72,11 +74,14 @@ class OptimisedTrack:
 
 @dataclass(frozen=True)
 class JudgedLoop:
-    """What the graph says of a loop; its squared Mahalanobis distance from the poses, NaN where it is UNCONNECTED."""
+    """What the graph says of a loop; its squared Mahalanobis distance from the poses, NaN where its sessions share no
+    frame; the reason of one that was refused.
+    """
 
     number: int
     state: GraphState
     squared_distance: float
+    refusal: str | None = None
 
 
 FAULTS = "odometry_faults"
@@ -101,10 +106,30 @@ class TrackFault:
     loops: int
 
 
+REFUSED_JOINS = "refused_joins"
+"""Where the stored summary of a version keeps them, where there are any."""
+
+
+@dataclass(frozen=True)
+class RefusedJoin:
+    """Sessions, by number on both sides, that so many loops would join and whose surfaces speak against it.
+
+    The other fields are those of a `SurfaceEvidence`.
+    """
+
+    sessions: tuple[int, ...]
+    others: tuple[int, ...]
+    reason: str
+    loops: int
+    common_points: int
+    residual_m: float
+    seen_through_share: float
+
+
 @dataclass(frozen=True)
 class OptimisedMap:
-    """The most likely poses, what they say of every loop, how well they fit (`chi2` by `degrees_of_freedom`), and the
-    faults of odometry without which they do.
+    """The most likely poses, what they say of every loop, how well they fit (`chi2` by `degrees_of_freedom`), the
+    faults of odometry without which they do, and what surfaces kept apart.
     """
 
     tracks: tuple[OptimisedTrack, ...]
@@ -112,6 +137,7 @@ class OptimisedMap:
     chi2: float
     degrees_of_freedom: int
     faults: tuple[TrackFault, ...] = ()
+    refused_joins: tuple[RefusedJoin, ...] = ()
 
 
 @dataclass(frozen=True)

@@ -58,7 +58,7 @@ export function sentences(loop) {
   if (measured.inliers) said.push(`${measured.inliers} keypoints agree on a first guess of the pose.`);
   const pose = precision(measured.covariance);
   if (pose && loop.state === "ACCEPTED") said.push(`The pose is known to about ${pose}.`);
-  if (loop.graph_state === "SET_ASIDE") said.push("It does not fit the other loop closures of the map, so the map does not rest on it.");
+  if (loop.graph_state === "SET_ASIDE") said.push("It does not fit the other loop closures or the surfaces of the map, so the map does not rest on it.");
   if (loop.graph_state === "UNCONNECTED") said.push("Too few loop closures join its two sessions: they share no frame yet.");
   const rivals = measured.rivals?.length ?? 0;
   if (rivals) said.push(rivals === 1 ? "One other pose fits about as well." : `${rivals} other poses fit about as well.`);

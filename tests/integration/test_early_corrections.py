@@ -13,7 +13,7 @@ from revisit.service.adapters.core_map_optimiser import CoreMapOptimiser
 from revisit.service.domain.identity import SessionKey
 from revisit.service.domain.policy import Policy
 from revisit.service.domain.states import LoopEventKind
-from revisit.service.features.corrections.job import MOST_AT_ONCE, MOST_WAITING, EarlyCorrections
+from revisit.service.features.corrections.job import MOST_AT_ONCE, EarlyCorrections
 from revisit.service.features.loops.rows import Change, add_loop
 from tests.support.fleet_in_service import fleet_in, loop_record
 from tests.support.made_up_fleet import random_motion
@@ -132,15 +132,57 @@ async def test_a_watch_tells_of_an_early_correction_and_of_the_version_that_repl
     assert [(one.map_version, one.early_loops) for one in told] == [(1, 0), (1, MOST_AT_ONCE), (2, 0)]
 
 
-async def test_nothing_is_corrected_ahead_where_submaps_wait_and_what_came_meanwhile_is_asked_later(late):
-    late.bring_back(late.late)
-    for number in range(MOST_WAITING + 1):
+class SlowOptimiser(CoreMapOptimiser):
+    """One that takes 400 ms to solve a map."""
+
+    def __init__(self, clock) -> None:
+        self._clock = clock
+
+    def solved(self, graph, tracks):
+        """See `MapOptimiser`."""
+        self._clock.ms += 400
+        return super().solved(graph, tracks)
+
+
+def backlog(late, jobs: int) -> None:
+    for number in range(jobs):
         late.write(lambda uow, name=f"op-{number}": uow.queue.enqueue(a_job(name, tenant=TENANT)))
-    late.early.update(TENANT, "town")
-    assert (await late.correction()).early_loops == 0
-    late.write(lambda uow: uow.queue.claim("a worker", late.world.clock.instant()))
+
+
+async def test_loops_correct_their_session_though_many_jobs_wait(late):
+    late.bring_back(late.late)
+    backlog(late, 100)
     late.early.update(TENANT, "town")
     assert (await late.correction()).early_loops == MOST_AT_ONCE
+
+
+async def test_corrections_take_a_fifth_of_a_workers_time_while_jobs_wait_and_what_came_meanwhile_is_asked_later(late):
+    transactions, clock = late.world.context.transactions, late.world.clock
+    early = EarlyCorrections(transactions, clock, Policy(optimise_after_loops=1), SlowOptimiser(clock))
+    late.bring_back(late.late[:1])
+    backlog(late, 1)
+    early.update(TENANT, "town")
+    assert (await late.correction()).early_loops == 1
+    more = late.late[1]
+    late.write(lambda uow: add_loop(uow, loop_record(more, late.submaps), Change(LoopEventKind.VERIFIED, 1)))
+    clock.ms += 1599
+    early.update(TENANT, "town")
+    assert (await late.correction()).early_loops == 1
+    clock.ms += 1
+    early.update(TENANT, "town")
+    assert (await late.correction()).early_loops == 2
+
+
+async def test_a_worker_for_whom_nothing_but_the_next_version_waits_corrects_at_once(late):
+    transactions, clock = late.world.context.transactions, late.world.clock
+    early = EarlyCorrections(transactions, clock, Policy(optimise_after_loops=1), SlowOptimiser(clock))
+    late.bring_back(late.late[:1])
+    await late.world.use_cases.map_versions.optimise(TENANT, "town")
+    early.update(TENANT, "town")
+    more = late.late[1]
+    late.write(lambda uow: add_loop(uow, loop_record(more, late.submaps), Change(LoopEventKind.VERIFIED, 1)))
+    early.update(TENANT, "town")
+    assert (await late.correction()).early_loops == 2
 
 
 async def test_what_fails_ahead_of_a_version_harms_nobody(late, monkeypatch):

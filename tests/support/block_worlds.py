@@ -44,6 +44,24 @@ def corridors(seed: int, spacing_m: float = 30.0, length_m: float = 36.0) -> Blo
     return joined(parts)
 
 
+def twin_streets(seed: int, common_m: float, length_m: float = 170.0, apart_m: float = 400.0) -> Blocks:
+    """Two streets along x, at y = 0 and y = `apart_m`: the same houses up to x = `common_m`, others behind."""
+    parts = [block((length_m / 2, apart_m / 2, -0.5), (length_m + 200, apart_m + 200, 0.5), Material.GROUND)]
+    for own, y in enumerate((0.0, apart_m)):
+        parts += _houses(np.random.default_rng(seed), -60.0, common_m, y)
+        parts += _houses(np.random.default_rng(seed + 1 + own), common_m, length_m + 60.0, y)
+    return joined(parts)
+
+
+def _houses(rng: np.random.Generator, first_m: float, last_m: float, y: float) -> Iterator[Blocks]:
+    """Houses and boxes of many sizes on both sides of a street, from x = `first_m` to `last_m`."""
+    for _ in range(round(0.5 * (last_m - first_m))):
+        size = rng.uniform((1.5, 1.5, 1.5), (10, 8, 7))
+        x = rng.uniform(first_m + size[0] / 2, last_m - size[0] / 2)
+        side = rng.choice([-1, 1]) * rng.uniform(4.0 + size[1] / 2, 25.0)
+        yield block((x, y + side, 0), tuple(size), Material.WALL)
+
+
 def along(*corners: tuple[float, float]) -> list[np.ndarray]:
     """Poses of a sensor every STEP_M along straight lines between corners, looking ahead."""
     poses = []

@@ -40,21 +40,34 @@ def random_start(rng: np.random.Generator) -> np.ndarray:
 async def driven(
     world: World, map_id: str, drive: Drive, T_odom_world: np.ndarray, recogniser: CoreRecogniser, **of_map: Any
 ) -> None:
-    """Store a drive as the only session `day` of a map, and describe its submaps.
+    """Store a drive as the only session `day` of a map, and describe its submaps."""
+    key = SessionKey(map_id, "day")
+    await opened(world, key, **of_map)
+    await driven_on(world, key, drive, T_odom_world, recogniser)
+    await world.use_cases.sessions.finish(TENANT, key)
+    world.work_off(recogniser)
+
+
+async def opened(world: World, key: SessionKey, **of_map: Any) -> None:
+    """Create a session, and its map.
 
     As in the product, and unlike in other tests, neighbours within a drive are no loops.
     """
     of_map = {"leave_distance_m": LoopConfig().leave_distance, **of_map}
-    key = SessionKey(map_id, "day")
-    await world.use_cases.maps.create(TENANT, CreateMap(map_id, **of_map))
-    await world.use_cases.sessions.create(TENANT, CreateSession(map_id, key.session_id))
+    await world.use_cases.maps.create(TENANT, CreateMap(key.map_id, **of_map))
+    await world.use_cases.sessions.create(TENANT, CreateSession(key.map_id, key.session_id))
     await world.use_cases.scans.open(TENANT, key)
-    for seq, (points, T_world_sensor) in enumerate(drive, 1):
+
+
+async def driven_on(
+    world: World, key: SessionKey, drive: Drive, T_odom_world: np.ndarray, recogniser: CoreRecogniser, after: int = 0
+) -> None:
+    """Store a part of a drive, whose first scan is the next one behind `after`, and describe its whole submaps."""
+    for seq, (points, T_world_sensor) in enumerate(drive, after + 1):
         cloud = DecodedCloud(np.ascontiguousarray(points, dtype=np.float32))
         await world.use_cases.scans.append(
             TENANT, AppendScan(key, seq, seq * 100, T_odom_world @ T_world_sensor, cloud)
         )
-    await world.use_cases.sessions.finish(TENANT, key)
     world.work_off(recogniser)
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from revisit.service.adapters.core_map_merger import CoreMapMerger
 from revisit.service.domain.states import ChangeKind
-from revisit.service.ports.map_merger import Judgement, MapChange, SurfaceEvidence
+from revisit.service.ports.map_merger import Judgement, MapChange, SurfaceAudit, SurfaceEvidence
 
 CAR = MapChange(ChangeKind.VANISHED, (12.0, 3.0, 0.8), (4.2, 1.8, 1.5), 120)
 
@@ -16,6 +16,10 @@ class FakeMerger(CoreMapMerger):
         """Nothing is read."""
         told("COMPARE_SURFACES", 0, 1)
         return SurfaceEvidence(5_000, 0.8, 0.02, 0.01, 0.001, (CAR,))
+
+    def audit(self, first, second, read, scale, most, told) -> SurfaceAudit:
+        """Nothing is read."""
+        return SurfaceAudit(self.compare((), (), read, scale, told), None)
 
 
 class EasyMerger(FakeMerger):

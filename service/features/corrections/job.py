@@ -22,7 +22,7 @@ from revisit.service.domain.records import (
     MapRecord,
     SessionPosesRecord,
 )
-from revisit.service.domain.states import GraphState, LoopState, OperationState
+from revisit.service.domain.states import GraphState, LoopState, OperationKind, OperationState
 from revisit.service.features.graph.reading import MapTask, read_task, track_loop
 from revisit.service.features.graph.session_poses import PackedSubmaps
 from revisit.service.ports.clock import Clock
@@ -45,8 +45,8 @@ MOST_AT_ONCE = 2
 """Loops, at most, that are asked in one go: those of the best score. Many loops of a submap say much the same, and the
 version that follows takes them all."""
 
-MOST_WAITING = 4
-"""Where more jobs of the tenant wait than this, nothing is corrected ahead: the next submap matters more."""
+SHARE = 0.2
+"""Of a worker's time, at most, goes into corrections while other jobs of the tenant wait: after each it rests."""
 
 
 @dataclass(frozen=True)
@@ -97,6 +97,7 @@ class EarlyCorrections:
         self._policy = policy
         self._optimiser = optimiser
         self._held: _Held | None = None
+        self._rest_until_ms = 0
 
     def release(self, tenant: TenantId, map_id: str) -> None:
         """Keep this map no longer: an optimisation begins that makes its solution void."""
@@ -110,14 +111,18 @@ class EarlyCorrections:
         """
         if not self._policy.optimise_after_loops:
             return
+        began_ms = self._clock.instant().ms
         try:
             self._update(tenant, map_id)
         except Exception:  # the job that found the loop has ended well
             log.exception("early_correction_failed", map=map_id)
             self._held = None
+        ended_ms = self._clock.instant().ms
+        self._rest_until_ms = max(self._rest_until_ms, ended_ms + round((ended_ms - began_ms) * (1.0 / SHARE - 1.0)))
 
     def _update(self, tenant: TenantId, map_id: str) -> None:
-        read = partial(_news, policy=self._policy, tenant=tenant, map_id=map_id, held=self._held)
+        rests = self._clock.instant().ms < self._rest_until_ms
+        read = partial(_news, policy=self._policy, tenant=tenant, map_id=map_id, held=self._held, rests=rests)
         news = self._transactions.read(read).result()
         if news is None:
             return
@@ -147,11 +152,14 @@ def _key(record: MapRecord) -> tuple[int, int, int]:
     return record.number, record.map_version, record.graph_edits
 
 
-def _news(uow: UnitOfWork, policy: Policy, tenant: TenantId, map_id: str, held: _Held | None) -> _News | None:
+def _news(
+    uow: UnitOfWork, policy: Policy, tenant: TenantId, map_id: str, held: _Held | None, *, rests: bool
+) -> _News | None:
+    """None where there is nothing to correct, or where other jobs wait and the worker `rests`."""
     record = uow.maps.get(tenant, map_id)
     if record is None or not record.map_version:
         return None
-    if uow.jobs.count(tenant, state=OperationState.QUEUED.value) > MOST_WAITING:
+    if rests and _others_wait(uow, tenant):
         return None
     if held is not None and held.key != _key(record):
         held = None
@@ -166,6 +174,12 @@ def _news(uow: UnitOfWork, policy: Policy, tenant: TenantId, map_id: str, held: 
         return _News(record, None, loops, accepted[-1].number, later)
     task = read_task(uow, policy, tenant, map_id)
     return None if task is None else _News(record, task, loops, accepted[-1].number, _submaps(task))
+
+
+def _others_wait(uow: UnitOfWork, tenant: TenantId) -> bool:
+    """Whether jobs wait; optimisations do not count: they wait for loops to settle."""
+    queued, kind = OperationState.QUEUED.value, OperationKind.OPTIMISE_MAP.value
+    return uow.jobs.count(tenant, state=queued) > uow.jobs.count(tenant, state=queued, kind=kind)
 
 
 def _best(accepted: Sequence[LoopRecord]) -> list[LoopRecord]:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import time
+from collections import Counter
 from collections.abc import Callable, Sequence
 from functools import partial
 from typing import TypeVar
@@ -27,6 +28,7 @@ from revisit.service.features.deletion.blob_references import (
     blobs_of_submap,
 )
 from revisit.service.features.deletion.rows import drop_jobs
+from revisit.service.features.graph.session_poses import PackedSubmaps, forget_in_summaries
 from revisit.service.features.resources.paging import Numbered
 from revisit.service.ports.clock import Clock
 from revisit.service.ports.repositories import Repository
@@ -151,7 +153,13 @@ def _scans(uow: UnitOfWork, deletion: DeletionRecord, _: int) -> set[Blob] | Non
 
 
 def _poses(uow: UnitOfWork, deletion: DeletionRecord, _: int) -> set[Blob] | None:
-    return set() if _without(uow.session_poses, deletion, VERSIONS) else None
+    gone = _without(uow.session_poses, deletion, VERSIONS)
+    if deletion.session_id:
+        submaps: Counter[int] = Counter()
+        for row in gone:
+            submaps[row.version] += len(PackedSubmaps.of(row.submaps).numbers)
+        forget_in_summaries(uow, TenantId(deletion.tenant), deletion.map_id, submaps)
+    return set() if gone else None
 
 
 def _tiles(uow: UnitOfWork, deletion: DeletionRecord, _: int) -> set[Blob] | None:

@@ -3,22 +3,26 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Collection, Iterable, Sequence
+from collections import Counter
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from revisit.core.geometry.se3 import Matrix4
-from revisit.service.domain.identity import TenantId
+from revisit.service.domain.identity import SessionKey, TenantId
 from revisit.service.domain.records import MapVersionRecord
 from revisit.service.domain.states import GraphState
-from revisit.service.ports.map_optimiser import JudgedLoop
+from revisit.service.ports.map_optimiser import REFUSED_JOINS, JudgedLoop
 from revisit.service.ports.transactions import UnitOfWork
 
 _SUBMAP = np.dtype([("number", "<i8"), ("T_map_submap", "<f8", (4, 4)), ("covariance", "<f4", (6, 6))])
 _LOOP = np.dtype([("number", "<i8"), ("state", "u1"), ("squared_distance", "<f8")])
 _STATES = (GraphState.IN_MAP, GraphState.SET_ASIDE, GraphState.UNCONNECTED)
+LOOPS_IN_SUMMARY = ("loops_in_map", "loops_set_aside", "loops_unconnected")
+"""Where the summary of a version counts the loops of each state, in the same order."""
 
 
 @dataclass(frozen=True)
@@ -87,9 +91,12 @@ def hash_of_version(record: MapVersionRecord, sessions: Iterable[str]) -> str:
 
 
 def forget_submap(uow: UnitOfWork, tenant: TenantId, map_id: str, session_id: str, number: int) -> None:
-    """Take a submap out of every version of the map."""
+    """Take a submap, whose loops are gone, out of every version of the map."""
+    forgotten: Counter[int] = Counter()
     for row in uow.session_poses.find(tenant, map_id=map_id, session_id=session_id):
-        left = PackedSubmaps.of(row.submaps).without([number])
+        known = PackedSubmaps.of(row.submaps)
+        left = known.without([number])
+        forgotten[row.version] += len(known.numbers) - len(left.numbers)
         if not len(left.numbers):
             uow.session_poses.delete(tenant, number=row.number)
             continue
@@ -97,3 +104,42 @@ def forget_submap(uow: UnitOfWork, tenant: TenantId, map_id: str, session_id: st
         T_map_odom = np.asarray(row.T_map_odom).reshape(4, 4)
         content_hash = hash_of_session(row.session_number, row.frame, T_map_odom, data)
         uow.session_poses.replace(replace(row, submaps=data, content_hash=content_hash))
+    forget_in_summaries(uow, tenant, map_id, forgotten)
+
+
+def _refused_of(summary: Mapping[str, Any], sessions: Collection[str]) -> dict[str, Any]:
+    """The refused joins of a summary, if there are any, between the sessions of these names."""
+    if REFUSED_JOINS not in summary:
+        return {}
+    sides = ("sessions", "other_sessions")
+    joins = [
+        {**join, **{side: [name for name in join[side] if name in sessions] for side in sides}}
+        for join in summary[REFUSED_JOINS]
+    ]
+    return {REFUSED_JOINS: [join for join in joins if all(join[side] for side in sides)]}
+
+
+def forget_in_summaries(uow: UnitOfWork, tenant: TenantId, map_id: str, submaps: Mapping[int, int]) -> None:
+    """Take loops that are gone out of some versions, and out of their summaries; `submaps` gone, by version."""
+    held = np.array(sorted(uow.loops.distinct(tenant, "number", map_id=map_id)), dtype=np.int64)
+    for version in sorted(number for number, gone in submaps.items() if gone):
+        row = uow.map_versions.get(tenant, map_id, version)
+        if row is None:
+            continue
+        of_version: dict[str, str | int] = {"map_id": map_id, "version": version}
+        verdicts = np.frombuffer(row.loops, _LOOP)
+        verdicts = verdicts[np.isin(verdicts["number"], held)]
+        loops = dict(
+            zip(LOOPS_IN_SUMMARY, np.bincount(verdicts["state"], minlength=len(_STATES)).tolist(), strict=True)
+        )
+        sessions = uow.session_poses.distinct(tenant, "session_id", **of_version)
+        summary = {
+            **row.summary,
+            **loops,
+            **_refused_of(row.summary, {SessionKey(map_id, one).name for one in sessions}),
+            "sessions": len(sessions),
+            "frames": len(uow.session_poses.distinct(tenant, "frame", **of_version)),
+            "submaps": row.summary["submaps"] - submaps[version],
+        }
+        data = verdicts.tobytes()
+        uow.map_versions.replace(replace(row, summary=summary, loops=data, loops_hash=hash_of_loops(data)))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -16,6 +17,7 @@ from revisit.service.domain.errors import Unavailable
 from revisit.service.domain.identity import TenantId
 from revisit.service.domain.records import SubmapRecord
 from revisit.service.failpoints import failpoint
+from revisit.service.features.graph.join_audit import JoinAudit
 from revisit.service.features.merging.reading import MergeOrder, MergeTask, read_merge, require_comparable
 from revisit.service.features.merging.rows import NOTHING_TO_MERGE, MergeCommit
 from revisit.service.features.merging.rules import (
@@ -30,6 +32,7 @@ from revisit.service.ports.blobs import NEURAL_MAP_BLOB, PLACE_BLOB
 from revisit.service.ports.job_context import JobContext
 from revisit.service.ports.job_queue import CANCELLED, Lease
 from revisit.service.ports.map_merger import AlignedMaps, MapMerger, SurfaceEvidence
+from revisit.service.ports.map_optimiser import MapOptimiser
 from revisit.service.ports.recogniser import PlaceRecogniser
 
 CANDIDATES = 3
@@ -45,11 +48,14 @@ _READINGS = 3
 class MapMerging:
     """Runs the jobs that merge maps; all calls block."""
 
-    def __init__(self, context: JobContext, recogniser: PlaceRecogniser, merger: MapMerger) -> None:
-        """`recogniser` verifies two places, `merger` compares two maps."""
+    def __init__(
+        self, context: JobContext, recogniser: PlaceRecogniser, optimiser: MapOptimiser, merger: MapMerger
+    ) -> None:
+        """`recogniser` verifies two places, `merger` compares two maps; `optimiser` solves each of them before."""
         self._context = context
         self._recogniser = recogniser
         self._merger = merger
+        self._audit = JoinAudit(context, optimiser, merger)
 
     def run(self, lease: Lease) -> None:
         """Read both maps, find out whether they are one, commit the merge or say why not.
@@ -77,7 +83,7 @@ class MapMerging:
             self._context.complete(lease, NOTHING_TO_MERGE)
             return True
         require_comparable(task.target.task.map, task.source.task.map)
-        proposal = self._proposal(tenant, order, task, progress)
+        proposal = self._proposal(tenant, order, self._audited(task, progress), progress)
         failpoint("map_merge.after_evidence")
         if order.validate_only or proposal.judgement.refusal is not None:
             self._context.complete(lease, proposal.report())
@@ -86,6 +92,11 @@ class MapMerging:
         now, now_ns = self._context.clock.instant(), self._context.clock.wall_ns()
         commit = MergeCommit(lease, proposal, self._context.policy, now, now_ns)
         return self._context.transactions.write(commit).result()
+
+    def _audited(self, task: MergeTask, progress: Progress) -> MergeTask:
+        """The task with the joins within each of the maps that surfaces speak against."""
+        sides = (replace(one, refused=self._audit.refused(one.task, progress)) for one in (task.target, task.source))
+        return MergeTask(*sides)
 
     def _proposal(self, tenant: TenantId, order: MergeOrder, task: MergeTask, progress: Progress) -> MergeProposal:
         config = self._context.policy.for_map(task.target.task.map)

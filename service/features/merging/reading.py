@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -14,11 +15,12 @@ from revisit.service.domain.identity import TenantId
 from revisit.service.domain.policy import Policy
 from revisit.service.domain.records import LoopRecord, MapRecord, SessionRecord, SubmapRecord
 from revisit.service.domain.states import SubmapState
+from revisit.service.features.graph.join_audit import loops_between
 from revisit.service.features.graph.map_frames import frame_name
 from revisit.service.features.graph.reading import MapTask, read_task
 from revisit.service.features.graph.session_poses import PackedSubmaps
 from revisit.service.ports.map_merger import DescribedPlaces
-from revisit.service.ports.map_optimiser import MapGraph, SessionTrack, TrackLoop
+from revisit.service.ports.map_optimiser import MapGraph, RefusedJoin, SessionTrack, TrackLoop
 from revisit.service.ports.storage import require_descriptor
 from revisit.service.ports.transactions import UnitOfWork
 
@@ -74,12 +76,14 @@ class MergeOrder:
 class MapSide:
     """One of the two maps: its graph, the sessions of its tracks by number, its described submaps in the order of these
     tracks, and T_map_submap (n, 4, 4) of each in the frame of the oldest session, NaN where it lies in another one.
+    `refused` joins within it are none, as surfaces say.
     """
 
     task: MapTask
     sessions: dict[int, SessionRecord]
     submaps: tuple[SubmapRecord, ...]
     T_map_submap: NDArray[np.float64]
+    refused: tuple[RefusedJoin, ...] = ()
 
     @property
     def places(self) -> DescribedPlaces:
@@ -101,11 +105,13 @@ class MergeTask:
         """Both with the loops between them; the map that grows gives the frame."""
         first, second = self.target.task.graph, self.source.task.graph
         anchors = [*sorted(self.target.sessions), *sorted(self.source.sessions)]
+        refused = (loops_between(one.task, one.refused) for one in (self.target, self.source))
         return replace(
             first,
             tracks=first.tracks + second.tracks,
             loops=first.loops + second.loops + crossing,
             anchors=tuple(anchors),
+            refused=dict(chain.from_iterable(refused)),
         )
 
 

@@ -26,7 +26,7 @@ from revisit.service.features.merging.rules import MergeProposal
 from revisit.service.features.optimisation.rows import add_version, forget_versions, summary_of
 from revisit.service.ports.clock import Instant
 from revisit.service.ports.job_queue import Lease
-from revisit.service.ports.map_optimiser import OptimisedMap, OptimisedTrack
+from revisit.service.ports.map_optimiser import OptimisedMap, OptimisedTrack, RefusedJoin
 from revisit.service.ports.storage import require_deleted
 from revisit.service.ports.transactions import UnitOfWork
 
@@ -228,11 +228,17 @@ class MergeCommit:
             target, graph=graph, session_ids=target.session_ids + tuple(ids),
             loops=target.loops + tuple(copies.loops.values()),
         )  # fmt: skip
-        return task, replace(optimised, tracks=solved, loops=loops)
+        refused = both.target.refused + tuple(_kept_apart(one, copies) for one in both.source.refused)
+        return task, replace(optimised, tracks=solved, loops=loops, refused_joins=refused)
 
 
 def _number(loop: int, copies: _Copies) -> int:
     return copies.loops[loop].number if loop in copies.loops else loop
+
+
+def _kept_apart(join: RefusedJoin, copies: _Copies) -> RefusedJoin:
+    sides = [tuple(copies.sessions[number].number for number in side) for side in (join.sessions, join.others)]
+    return replace(join, sessions=sides[0], others=sides[1])
 
 
 def _solved(track: OptimisedTrack, copies: _Copies) -> OptimisedTrack:

@@ -8,11 +8,13 @@ from revisit.service.domain.errors import Unavailable
 from revisit.service.domain.states import LoopState
 from revisit.service.failpoints import failpoint
 from revisit.service.features.corrections.job import EarlyCorrections
+from revisit.service.features.graph.join_audit import JoinAudit
 from revisit.service.features.graph.reading import read_task
 from revisit.service.features.operations.progress import OperationCancelled, Progress
 from revisit.service.features.optimisation.rows import MAP_DELETED, VersionCommit
 from revisit.service.ports.job_context import JobContext
 from revisit.service.ports.job_queue import CANCELLED, Lease
+from revisit.service.ports.map_merger import MapMerger
 from revisit.service.ports.map_optimiser import MapOptimiser
 from revisit.service.ports.recogniser import PlaceKeeper
 
@@ -34,11 +36,18 @@ class MapOptimisation:
     """Runs the jobs that optimise maps; all calls block."""
 
     def __init__(
-        self, context: JobContext, optimiser: MapOptimiser, places: PlaceKeeper, early: EarlyCorrections
+        self,
+        context: JobContext,
+        optimiser: MapOptimiser,
+        merger: MapMerger,
+        places: PlaceKeeper,
+        early: EarlyCorrections,
     ) -> None:
-        """`optimiser` places the sessions to each other; `places` and `early` hold memory that a large map needs."""
+        """`optimiser` places the sessions to each other, `merger` compares their surfaces; `places` and `early` hold
+        memory that a large map needs.
+        """
         self._context = context
-        self._optimiser = optimiser
+        self._audit = JoinAudit(context, optimiser, merger)
         self._places = places
         self._early = early
 
@@ -68,7 +77,7 @@ class MapOptimisation:
                 self._context.complete(lease, MAP_DELETED if task is None else NO_SUBMAPS)
                 return
             failpoint("optimise.after_read")
-            optimised = self._optimiser.optimise(task.graph, progress)
+            optimised = self._audit.solved(task, progress)
             failpoint("optimise.after_solution")
             progress("COMMIT")
             now, now_ns = self._context.clock.instant(), self._context.clock.wall_ns()

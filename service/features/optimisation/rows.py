@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from revisit.core.geometry.se3 import pose_row
-from revisit.service.domain.identity import TenantId
+from revisit.service.domain.identity import SessionKey, TenantId
 from revisit.service.domain.policy import Policy
 from revisit.service.domain.records import LoopRecord, MapRecord, MapVersionRecord, SessionPosesRecord
 from revisit.service.domain.states import GraphState, LoopEventKind
@@ -28,7 +28,14 @@ from revisit.service.features.graph.session_poses import (
 from revisit.service.features.loops.rows import Change, change_loops
 from revisit.service.ports.clock import Instant
 from revisit.service.ports.job_queue import Lease
-from revisit.service.ports.map_optimiser import FAULTS, JudgedLoop, OptimisedMap, OptimisedTrack
+from revisit.service.ports.map_optimiser import (
+    FAULTS,
+    REFUSED_JOINS,
+    JudgedLoop,
+    OptimisedMap,
+    OptimisedTrack,
+    RefusedJoin,
+)
 from revisit.service.ports.transactions import UnitOfWork
 
 MAP_DELETED = {"outcome": "the map was deleted"}
@@ -143,7 +150,9 @@ def judge_loops(
         if state == loop.graph_state:
             continue
         distance = np.nan if verdict is None else verdict.squared_distance
-        details = {"squared_distance": float(distance)} if np.isfinite(distance) else {}
+        details: dict[str, Any] = {"squared_distance": float(distance)} if np.isfinite(distance) else {}
+        if verdict is not None and verdict.refusal is not None:
+            details["refusal"] = verdict.refusal
         change = Change(LoopEventKind.JUDGED, now_ns, map_version=version, details=details)
         changes.setdefault(state, []).append((loop, change))
     for state, some in changes.items():
@@ -187,6 +196,26 @@ def summary_of(task: MapTask, tracks: Sequence[OptimisedTrack], optimised: Optim
         "mean_change_m": float(changes.mean()) if len(changes) else None,
         "max_change_m": float(changes.max()) if len(changes) else None,
         **({FAULTS: [asdict(fault) for fault in optimised.faults]} if optimised.faults else {}),
+        **({REFUSED_JOINS: [_stored(task, one) for one in optimised.refused_joins]} if optimised.refused_joins else {}),
+    }
+
+
+def _stored(task: MapTask, join: RefusedJoin) -> dict[str, Any]:
+    """The fields of a RefusedJoin of the API."""
+    ids = {track.session_number: name for track, name in zip(task.graph.tracks, task.session_ids, strict=True)}
+
+    def names(numbers: Iterable[int]) -> list[str]:
+        return [SessionKey(task.map.map_id, ids[number]).name for number in numbers]
+
+    measured = {"residual_m": join.residual_m} if np.isfinite(join.residual_m) else {}
+    return {
+        "sessions": names(join.sessions),
+        "other_sessions": names(join.others),
+        "reason": join.reason,
+        "loops": join.loops,
+        "common_points": join.common_points,
+        "seen_through_share": join.seen_through_share,
+        **measured,
     }
 
 

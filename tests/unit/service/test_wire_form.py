@@ -84,6 +84,10 @@ PLACED_LOOP = replace(LOOP, graph_state=GraphState.IN_MAP, manual=True, in_map=L
 SUMMARY = {
     "sessions": 2, "submaps": 60, "frames": 1, "loops_in_map": 10, "loops_set_aside": 4, "loops_unconnected": 0,
     "chi2": 61.5, "degrees_of_freedom": 60, "mean_change_m": 0.0, "max_change_m": None,
+    "refused_joins": [{
+        "sessions": ["maps/town/sessions/a"], "other_sessions": ["maps/town/sessions/b", "maps/town/sessions/c"],
+        "reason": "OVERLAP_TOO_SMALL", "loops": 3, "common_points": 0, "seen_through_share": 0.0,
+    }],
 }  # fmt: skip
 COVARIANCE = (np.arange(36, dtype=np.float32) / 4).reshape(6, 6)
 

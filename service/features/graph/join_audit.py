@@ -1,0 +1,190 @@
+"""Sessions share a frame of a map only where their surfaces agree: the rule of merges, within one map."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
+from functools import partial
+
+from revisit.core.errors import DataLoss
+from revisit.core.geometry.se3 import Matrix4
+from revisit.service.domain.identity import TenantId
+from revisit.service.domain.states import GraphState
+from revisit.service.features.graph.reading import MapTask
+from revisit.service.features.graph.session_poses import PackedSubmaps
+from revisit.service.ports.blobs import NEURAL_MAP_BLOB
+from revisit.service.ports.job_context import JobContext
+from revisit.service.ports.map_merger import MapMerger, SurfaceAudit
+from revisit.service.ports.map_optimiser import MapOptimiser, OptimisedMap, RefusedJoin, Told
+
+VERSION_PAIRS = 100
+"""Pairs of submaps, about, whose surfaces are compared for a version: 0.03 to 0.17 s of a core each."""
+
+MOST_PAIRS = 40
+LEAST_PAIRS = 8
+"""Pairs for one join: fewer where a version has many."""
+
+Sessions = frozenset[int]
+"""Numbers of sessions."""
+
+
+@dataclass(frozen=True)
+class _Joins:
+    """Pairs of sessions that a solution joins by loops, those with most loops first, and which of them are settled."""
+
+    pairs: tuple[Sessions, ...]
+    settled: frozenset[Sessions]
+
+    @classmethod
+    def of(cls, task: MapTask, optimised: OptimisedMap) -> _Joins:
+        """Of loops between two sessions."""
+        kept = {loop.number for loop in optimised.loops if loop.state is GraphState.IN_MAP}
+        found = Counter(pair for number, pair in _ends(task) if number in kept and len(pair) == 2)
+        ordered = sorted(found, key=lambda pair: (-found[pair], sorted(pair)))
+        return cls(tuple(ordered), frozenset(found.keys() & _settled(task)))
+
+
+class JoinAudit:
+    """Solves maps by loops and surfaces."""
+
+    def __init__(self, context: JobContext, optimiser: MapOptimiser, merger: MapMerger) -> None:
+        """`optimiser` places sessions by loops, `merger` compares surfaces."""
+        self._context = context
+        self._optimiser = optimiser
+        self._merger = merger
+
+    def solved(self, task: MapTask, told: Told) -> OptimisedMap:
+        """The solution of a map without the loops of joins that surfaces speak against. Blocks.
+
+        The graph is solved again after each refusal, which takes one loop of it at least. Raises what `told` raises.
+        """
+        asked = _Audit(self._context, self._merger, task, told)
+        refused: tuple[RefusedJoin, ...] = ()
+        while True:
+            graph = replace(task.graph, refused=dict(loops_between(task, refused)))
+            optimised = self._optimiser.optimise(graph, told)
+            more = asked.refused(optimised)
+            if not more:
+                return replace(optimised, refused_joins=refused)
+            refused += more
+
+    def refused(self, task: MapTask, told: Told) -> tuple[RefusedJoin, ...]:
+        """The joins that its solution is without; a map is not solved where the version in force has said it."""
+        return self.solved(task, told).refused_joins if _has_unsettled(task) else ()
+
+
+class _Audit:
+    """The audit of one map for one version; a join that it allowed it does not ask about again."""
+
+    def __init__(self, context: JobContext, merger: MapMerger, task: MapTask, told: Told) -> None:
+        self._context = context
+        self._merger = merger
+        self._task = task
+        self._told = told
+        self._allowed: set[frozenset[Sessions]] = set()
+
+    def refused(self, optimised: OptimisedMap) -> tuple[RefusedJoin, ...]:
+        """The joins of a solution that the surfaces speak against.
+
+        Groups of sessions grow by the pair with most loops first; each join of two groups is asked over their whole
+        overlap. What is refused stays so, whatever joins either side later.
+        """
+        joins = _Joins.of(self._task, optimised)
+        groups = {track.session_number: frozenset((track.session_number,)) for track in optimised.tracks}
+        for pair in joins.settled:
+            _unite(groups, pair)
+        most = self._pairs_each(len({*groups.values()}))
+        refused: dict[Sessions, SurfaceAudit] = {}
+        for pair in joins.pairs:
+            sides = _sides(groups, pair)
+            if len(sides) == 1 or any(_sides(groups, known) == sides for known in refused):
+                continue
+            audit = None if sides in self._allowed else self._audit(optimised, sides, most)
+            if audit is None or audit.refusal is None:
+                self._allowed.add(sides)
+                _unite(groups, pair)
+            else:
+                refused[pair] = audit
+        found = {_sides(groups, pair): audit for pair, audit in refused.items()}
+        return tuple(_refused_join(self._task, sides, audit) for sides, audit in found.items())
+
+    def _pairs_each(self, groups: int) -> int:
+        return max(LEAST_PAIRS, min(MOST_PAIRS, VERSION_PAIRS // max(groups - 1, 1)))
+
+    def _audit(self, optimised: OptimisedMap, sides: frozenset[Sessions], most: int) -> SurfaceAudit | None:
+        first, second = (_poses(self._task, optimised, side) for side in sorted(sides, key=min))
+        record = self._task.map
+        read = partial(self._read, TenantId(record.tenant))
+        scale = self._context.policy.for_map(record).scene_scale
+        return self._merger.audit(first, second, read, scale, most, self._told)
+
+    def _read(self, tenant: TenantId, number: int) -> bytes:
+        """The neural map of a submap. Raises DataLoss where it has none, or is gone."""
+        row = self._context.transactions.read(lambda uow: uow.submaps.numbered(tenant, [number])).result().get(number)
+        if row is None or row.neural_map_sha256 is None:
+            raise DataLoss(f"submap {number} has no neural map")
+        return self._context.blobs.get(tenant, NEURAL_MAP_BLOB, row.neural_map_sha256)
+
+
+def loops_between(task: MapTask, joins: Iterable[RefusedJoin]) -> Iterator[tuple[int, str]]:
+    """The loops of the graph between the sides of refused joins, by number, each with the reason."""
+    ends = list(_ends(task))
+    for join in joins:
+        for number, pair in ends:
+            if pair.intersection(join.sessions) and pair.intersection(join.others):
+                yield number, join.reason
+
+
+def _refused_join(task: MapTask, sides: frozenset[Sessions], audit: SurfaceAudit) -> RefusedJoin:
+    one, other = sorted(sides, key=min)
+    found = audit.evidence
+    join = RefusedJoin(
+        tuple(sorted(one)), tuple(sorted(other)), str(audit.refusal), 0,
+        found.common_points, found.residual_m, found.seen_through_share,
+    )  # fmt: skip
+    return replace(join, loops=sum(1 for _ in loops_between(task, [join])))
+
+
+def _ends(task: MapTask) -> Iterator[tuple[int, Sessions]]:
+    """The loops of the graph by number, each with the sessions of its ends: one or two."""
+    session = {number: track.session_number for track in task.graph.tracks for number in track.submaps}
+    for loop in task.graph.loops:
+        yield loop.number, frozenset((session[loop.match], session[loop.query]))
+
+
+def _settled(task: MapTask) -> set[Sessions]:
+    """The pairs of sessions with loops that share a frame of the version in force, which has all of their submaps."""
+    before = {row.session_number: row for row in task.before}
+    frames = {
+        track.session_number: before[track.session_number].frame
+        for track in task.graph.tracks
+        if track.session_number in before
+        and set(track.submaps) <= set(PackedSubmaps.of(before[track.session_number].submaps).numbers.tolist())
+    }
+    pairs = {pair for _, pair in _ends(task)}
+    return {pair for pair in pairs if pair <= frames.keys() and len({frames[number] for number in pair}) == 1}
+
+
+def _has_unsettled(task: MapTask) -> bool:
+    return any(len(pair) == 2 for pair in {pair for _, pair in _ends(task)} - _settled(task))
+
+
+def _poses(task: MapTask, optimised: OptimisedMap, sessions: Sessions) -> dict[int, Matrix4]:
+    """T_map_submap (4, 4) of the submaps of some sessions, by number."""
+    return {
+        number: T_map_submap
+        for track, solved in zip(task.graph.tracks, optimised.tracks, strict=True)
+        if track.session_number in sessions
+        for number, T_map_submap in zip(track.submaps, solved.T_map_submap, strict=True)
+    }
+
+
+def _sides(groups: dict[int, Sessions], pair: Sessions) -> frozenset[Sessions]:
+    """The groups of two sessions, or the one of both."""
+    return frozenset(groups[number] for number in pair)
+
+
+def _unite(groups: dict[int, Sessions], pair: Sessions) -> None:
+    united = frozenset[int]().union(*(groups[number] for number in pair))
+    groups.update(dict.fromkeys(united, united))
