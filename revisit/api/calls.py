@@ -11,9 +11,9 @@ import re
 from dataclasses import dataclass
 from enum import Enum
 from functools import cached_property
-from typing import Any
+from typing import Any, cast
 
-from google.protobuf.descriptor import MethodDescriptor
+from google.protobuf.descriptor import Descriptor, MethodDescriptor
 from google.protobuf.message import Message
 from google.protobuf.message_factory import GetMessageClass
 
@@ -108,6 +108,18 @@ class Call:
     def response(self) -> type[Message]:
         """The response message, one of many where the answers are a stream."""
         return GetMessageClass(self.method.output_type)
+
+    @cached_property
+    def body(self) -> type[Message]:
+        """The message that is the body of the answer over HTTP."""
+        if not self.row.answer:
+            return self.response
+        field = self.method.output_type.fields_by_name[self.row.answer]
+        return GetMessageClass(cast(Descriptor, field.message_type))
+
+    def body_in(self, response: Message) -> Any:
+        """The part of a response that is the body of the answer over HTTP."""
+        return getattr(response, self.row.answer) if self.row.answer else response
 
 
 def _calls(module: Any, tag: str, *rows: Row) -> tuple[Call, ...]:

@@ -9,6 +9,7 @@ from typing import Self
 from revisit.sdk.errors import ApiError
 from revisit.sdk.resources import Correction
 from revisit.sdk.transport import CorrectionFeed, Transport
+from revisit.v1 import mapping_pb2
 
 _LOOK_S = 0.5
 """How often a watch looks whether it was closed."""
@@ -19,19 +20,17 @@ _RECONNECT_S = 1.0
 class CorrectionWatch:
     """The corrections of the sessions of a map. Connects again where the link breaks; the last ones may then repeat."""
 
-    def __init__(self, transport: Transport, map_name: str, session: str, after: int) -> None:
-        """Connects when it is first used; `session` is "" for all."""
+    def __init__(self, transport: Transport, request: mapping_pb2.WatchCorrectionsRequest) -> None:
+        """Connects when it is first used."""
         self._transport = transport
-        self._map_name = map_name
-        self._session = session
-        self._after = after
+        self._request = request
         self._closed = threading.Event()
         self._thread: threading.Thread | None = None
 
     def __iter__(self) -> Iterator[Correction]:
         """The corrections, until the watch is closed. Raises ApiError where trying again does not help."""
         while not self._closed.is_set():
-            feed = self._transport.corrections(self._map_name, self._session, self._after)
+            feed = self._transport.corrections(self._request)
             try:
                 yield from self._of(feed)
             except ApiError as error:
@@ -46,7 +45,7 @@ class CorrectionWatch:
             message = feed.next(_LOOK_S)
             if message is not None:
                 # The others of this version may still come: after a break, all of them come again.
-                self._after = max(self._after, message.map_version - 1)
+                self._request.after = max(self._request.after, message.map_version - 1)
                 yield Correction.of(message)
 
     def call(self, callback: Callable[[Correction], None]) -> Self:

@@ -8,18 +8,7 @@ from typing import Any, Protocol
 
 from revisit.sdk.clouds import Cloud
 from revisit.sdk.resources import Json
-from revisit.v1 import (
-    event_pb2,
-    loop_closure_pb2,
-    map_file_pb2,
-    map_tile_pb2,
-    mapping_pb2,
-    operation_pb2,
-    session_pb2,
-    submap_pb2,
-    system_pb2,
-    webhook_pb2,
-)
+from revisit.v1 import event_pb2, mapping_pb2
 
 SILENT_S = 45.0
 """A watch of which nothing was heard for so long is dead: the service gives a sign of life every 15 s."""
@@ -131,136 +120,24 @@ class CorrectionFeed(Protocol):
 class Transport(Protocol):
     """REST or gRPC. Every call raises ApiError."""
 
-    def create(self, collection: str, request: Any) -> Any:
-        """Create a map, robot or session with its Create...Request; the resource's message."""
+    def call(self, name: str, request: Any) -> Any:
+        """Make the call of an RPC with its request; the message of the answer's body, None where nothing is left."""
         ...
 
-    def get(self, name: str, *, full: bool = False) -> Any:
-        """The message of any resource by name; `full` is for submaps alone."""
-        ...
-
-    def list(self, collection: str, request: Any) -> Iterator[Any]:
-        """The messages of the resources that a List...Request asks for, page after page."""
-        ...
-
-    def delete(self, name: str) -> None:
-        """Delete a map, session or submap."""
-        ...
-
-    def finish_session(self, name: str) -> session_pb2.Session:
-        """Finish a session."""
-        ...
-
-    def wait_operation(self, name: str, timeout_s: float) -> operation_pb2.Operation:
-        """The operation once it has ended, or as it stands after `timeout_s` (at most 60)."""
-        ...
-
-    def retry_operation(self, name: str) -> operation_pb2.Operation:
-        """Queue a failed operation again."""
-        ...
-
-    def post_submap(self, request: submap_pb2.PostSubmapRequest) -> submap_pb2.PostSubmapResponse:
-        """Post a submap."""
-        ...
-
-    def download(self, submap: str, file_format: str) -> bytes:
-        """A submap as a file."""
-        ...
-
-    def download_tile(self, tile: str, file_format: str) -> bytes:
-        """A tile of a map as a file."""
-        ...
-
-    def measure_distances(
-        self, request: map_tile_pb2.MeasureMapDistancesRequest
-    ) -> map_tile_pb2.MeasureMapDistancesResponse:
-        """Signed distances of points to the surface of a map."""
-        ...
-
-    def find_points(self, request: map_tile_pb2.FindMapPointsRequest) -> map_tile_pb2.FindMapPointsResponse:
-        """The points of the surface of a map around one."""
-        ...
-
-    def publish_map_file(self, version: str, description: str) -> operation_pb2.Operation:
-        """Queue the making of a map file."""
-        ...
-
-    def enable_map_file(self, name: str) -> map_file_pb2.MapFile:
-        """Say that robots are to use a map file."""
+    def download(self, name: str, request: Any) -> bytes:
+        """The whole file that a download answers with."""
         ...
 
     def map_file_bytes(self, name: str, offset: int) -> Iterator[bytes]:
         """The bytes of a map file from `offset` on, over one connection."""
         ...
 
-    def search(self, request: loop_closure_pb2.SearchSubmapsRequest) -> loop_closure_pb2.SearchSubmapsResponse:
-        """Search by submap, by cloud or by descriptor."""
-        ...
-
-    def localize(self, request: loop_closure_pb2.LocalizeRequest) -> loop_closure_pb2.LocalizeResponse:
-        """Localise a cloud."""
-        ...
-
-    def create_webhook(self, request: webhook_pb2.CreateWebhookRequest) -> webhook_pb2.CreateWebhookResponse:
-        """Create a webhook; the answer holds its secret."""
-        ...
-
-    def resume_webhook(self, name: str) -> webhook_pb2.Webhook:
-        """Try again at once."""
-        ...
-
-    def webhook_deliveries(self, name: str) -> Iterator[webhook_pb2.WebhookDelivery]:
-        """The last attempts to deliver."""
-        ...
-
-    def propose_loop(
-        self, request: loop_closure_pb2.CreateLoopClosureRequest
-    ) -> loop_closure_pb2.CreateLoopClosureResponse:
-        """Store a loop closure that a person has found."""
-        ...
-
-    def decide_loop(self, decision: str, name: str, note: str) -> loop_closure_pb2.LoopClosure:
-        """`accept`, `reject` or `revert` a loop closure."""
-        ...
-
-    def loop_keypoints(self, name: str) -> loop_closure_pb2.GetLoopClosureKeypointsResponse:
-        """The keypoints of a loop closure's two submaps."""
-        ...
-
     def watch(self, request: event_pb2.WatchEventsRequest) -> Iterator[event_pb2.Event | None]:
         """The events of a map over one connection, None for a sign of life; ends where the service ends it."""
         ...
 
-    def optimise_map(self, name: str) -> operation_pb2.Operation:
-        """Queue the optimisation of a map."""
-        ...
-
-    def revert_map(self, name: str, version: int) -> mapping_pb2.MapVersion:
-        """Bring an earlier version of a map back."""
-        ...
-
-    def merge_map(self, request: mapping_pb2.MergeMapRequest) -> operation_pb2.Operation:
-        """Queue a merge into a map."""
-        ...
-
-    def revert_merge(self, name: str) -> mapping_pb2.MapMerge:
-        """Take a merge back."""
-        ...
-
-    def cancel_operation(self, name: str) -> operation_pb2.Operation:
-        """End an operation that optimises or merges maps."""
-        ...
-
-    def correction(self, session: str) -> mapping_pb2.Correction:
-        """Where the odometry frame of a session lies in the map."""
-        ...
-
-    def corrections(self, map_name: str, session: str, after: int) -> CorrectionFeed:
-        """The corrections by versions above `after`; `session` is "" for those of all sessions."""
-        ...
-
-    def status(self) -> system_pb2.GetStatusResponse:
-        """What the service is doing."""
+    def corrections(self, request: mapping_pb2.WatchCorrectionsRequest) -> CorrectionFeed:
+        """The corrections of a map as they come."""
         ...
 
     def open_stream(self, session: str, journal: StreamJournal = Forgetful()) -> ScanSink:
@@ -274,3 +151,14 @@ class Transport(Protocol):
     def close(self) -> None:
         """Let go of the connections."""
         ...
+
+
+def listed(transport: Transport, name: str, request: Any) -> Iterator[Any]:
+    """The messages of the resources that a List...Request asks for, page after page. Raises ApiError."""
+    while True:
+        page = transport.call(name, request)
+        (field,) = (field for field in page.DESCRIPTOR.fields if field.is_repeated)
+        yield from getattr(page, field.name)
+        if not page.next_page_token:
+            return
+        request.page_token = page.next_page_token

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Any, cast
+from typing import Any
 
 from fastapi import Response
-from google.protobuf.descriptor import Descriptor
 from google.protobuf.message import Message
-from google.protobuf.message_factory import GetMessageClass
 from pydantic_core import to_json
 
 from revisit.api.calls import CALLS, Call, Form
@@ -17,14 +15,6 @@ from revisit.service.wire.json_form import json_form
 from revisit.v1 import event_pb2, ingest_pb2
 
 _OF_ROUTES_BY_HAND = (ingest_pb2.AppendScanResponse, event_pb2.Event)
-
-
-def body_of(call: Call) -> type[Message]:
-    """The message that is the body of a call's answer."""
-    if not call.row.answer:
-        return call.response
-    field = descriptor_of(call.response).fields_by_name[call.row.answer]
-    return GetMessageClass(cast(Descriptor, field.message_type))
 
 
 def status_of(call: Call) -> int:
@@ -62,6 +52,6 @@ def answer(message: type[Message], fields: Fields, status: int = 200, *, replay:
 def describe_answers(document: dict[str, Any]) -> None:
     """Add the schemas of all answers to the OpenAPI document."""
     over_http = (call for call in CALLS.values() if call.row.http and call.row.form in (Form.MESSAGE, Form.CLOUD))
-    served = (body_of(call) for call in over_http if status_of(call) != 204)
+    served = (call.body for call in over_http if status_of(call) != 204)
     schemas = openapi.schemas([*served, *_OF_ROUTES_BY_HAND])
     document.setdefault("components", {}).setdefault("schemas", {}).update(schemas)

@@ -75,10 +75,3 @@ REQUIRED = frozenset({
     "map_id", "robot_id", "session_id", "webhook_id", "url", "version", "source", "query", "match", "points_m",
     "centre_m", "within_m",
 })  # fmt: skip
-
-BY_ID = {
-    "CreateSessionRequest.robot": ("robot_id", "robots/{id}"),
-    "CreateWebhookRequest.map": ("map_id", "maps/{id}"),
-    "ListLoopClosuresRequest.session": ("session_id", "{parent}/sessions/{id}"),
-}
-"""Resources that are named by their id: the field over HTTP, and the name that it stands for."""

@@ -19,6 +19,7 @@ from google.protobuf.message import Message
 from pydantic import Field, create_model
 
 from revisit.api.calls import Call
+from revisit.api.http_form import is_point, is_transform, spelling
 from revisit.core.errors import BadField
 from revisit.service.domain import limits
 from revisit.service.rest.bodies import parse_numbers
@@ -26,7 +27,6 @@ from revisit.service.rest.parameters import POINT_HELP, POSE_HELP, Id
 from revisit.service.rest.paths import resource_in
 from revisit.service.rest.request_fields import (
     BOUNDS,
-    BY_ID,
     DEFAULTS,
     POINT_CHARACTERS,
     POSE_CHARACTERS,
@@ -35,7 +35,6 @@ from revisit.service.rest.request_fields import (
 )
 from revisit.service.rest.schemas import IN_DIGITS, Coordinate, Request, bounds, length
 from revisit.service.wire.fields import descriptor_of
-from revisit.v1 import geometry_pb2
 from revisit.v1.comments import COMMENTS
 
 Values = Mapping[str, Any]
@@ -114,13 +113,12 @@ def form_of(call: Call) -> RequestForm:
 
 
 def _spelled(field: FieldDescriptor, in_body: bool) -> Spelled:
-    name, resource = BY_ID.get(".".join(field.full_name.split(".")[-2:]), (field.name, ""))
+    name, resource = spelling(field)
     read: Callable[[Any], Any] | None = None
     by_id = bool(resource)
-    if _is(field, geometry_pb2.Transform):
-        name = f"T{field.name[1:]}"
+    if is_transform(field):
         read = partial(_transform, name)
-    elif _is(field, geometry_pb2.Vector3):
+    elif is_point(field):
         read = _points if field.is_repeated else partial(_point, field.name)
     elif _is_part(field):
         read = _part_fields
@@ -160,9 +158,9 @@ _MANY = list[Coordinate]
 def _type_of_one(field: FieldDescriptor) -> Any:
     if field.enum_type is not None:
         return Literal[_names(field.enum_type)]
-    if _is(field, geometry_pb2.Vector3) and field.is_repeated:
+    if is_point(field) and field.is_repeated:
         return _MANY
-    if _is(field, geometry_pb2.Transform) or _is(field, geometry_pb2.Vector3):
+    if is_transform(field) or is_point(field):
         return str
     return _part(field.message_type) if _is_part(field) else _SCALARS[field.cpp_type]
 
@@ -189,9 +187,9 @@ def _details(field: FieldDescriptor, by_id: bool) -> dict[str, Any]:
     """Bounds and description of a field."""
     if field.name in BOUNDS:
         return _described(field, bounds(BOUNDS[field.name]))
-    if _is(field, geometry_pb2.Transform):
+    if is_transform(field):
         return {"max_length": POSE_CHARACTERS, "description": POSE_HELP}
-    if _is(field, geometry_pb2.Vector3):
+    if is_point(field):
         point = {"max_length": POINT_CHARACTERS, "description": POINT_HELP}
         return length(limits.DISTANCE_POINTS, 3) if field.is_repeated else point
     if field.enum_type is not None and field.is_repeated:
@@ -217,14 +215,9 @@ def _names(enum: EnumDescriptor) -> tuple[str, ...]:
     return tuple(value.name for value in enum.values if value.number)
 
 
-def _is(field: FieldDescriptor, message: type[Message]) -> bool:
-    return field.message_type is not None and field.message_type.full_name == message.DESCRIPTOR.full_name
-
-
 def _is_part(field: FieldDescriptor) -> bool:
     """Whether a field is a message that is spelled as one."""
-    special = _is(field, geometry_pb2.Transform) or _is(field, geometry_pb2.Vector3)
-    return field.message_type is not None and not special
+    return field.message_type is not None and not (is_transform(field) or is_point(field))
 
 
 def _transform(name: str, value: str) -> dict[str, Any]:

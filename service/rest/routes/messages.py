@@ -13,7 +13,7 @@ from revisit.api.calls import CALLS, Call, Form
 from revisit.service.calls import uses
 from revisit.service.domain.callers import current_tenant
 from revisit.service.rest.access import served
-from revisit.service.rest.answers import answer, answers, body_of, status_of
+from revisit.service.rest.answers import answer, answers, status_of
 from revisit.service.rest.bodies import describe_json, json_body
 from revisit.service.rest.request_form import RequestForm, form_of
 from revisit.service.use_cases import UseCases
@@ -36,13 +36,13 @@ def add_routes(app: FastAPI, cases: UseCases) -> None:
 
 
 def _answers(call: Call) -> dict[str, Any]:
-    return {"status_code": 204} if status_of(call) == 204 else answers(body_of(call), status_of(call))
+    return {"status_code": 204} if status_of(call) == 204 else answers(call.body, status_of(call))
 
 
 def _route(form: RequestForm, cases: UseCases) -> Callable[..., Any]:
     """The function of a route, with the parameters of the request as FastAPI reads them from a signature."""
     call, use = form.call, uses.answers(form.call, cases)
-    made = partial(_response, call, body_of(call), status_of(call))
+    made = partial(_response, call, call.body, status_of(call))
 
     async def route(**values: Any) -> Response:
         request = form.message(values, values.get(BODY))

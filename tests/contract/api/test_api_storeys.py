@@ -83,7 +83,7 @@ def test_a_search_tells_how_many_submaps_are_on_other_storeys(client, garage):
     driven(client, garage, "first", "B1")
     second = driven(client, garage, "second", "B2")
     request = loop_closure_pb2.SearchSubmapsRequest(parent=garage, submap=f"{second.name}/submaps/a")
-    answer = client._transport.search(request)
+    answer = client._transport.call("SearchSubmaps", request)
     assert (answer.searched, answer.on_other_storeys, len(answer.hits)) == (2, 1, 0)
 
 

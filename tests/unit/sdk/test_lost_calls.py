@@ -14,7 +14,7 @@ from revisit.sdk.grpc_answers import Answers, LostCall, answer
 from revisit.sdk.grpc_transport import GrpcTransport, _api_error
 from revisit.sdk.retry import RetryPolicy
 from revisit.sdk.scan_stream import GrpcScanSink
-from revisit.v1 import ingest_pb2
+from revisit.v1 import ingest_pb2, system_pb2
 from tests.support.patience import PATIENCE_S
 
 ONCE = RetryPolicy(attempts=1)
@@ -65,7 +65,7 @@ def test_the_client_tells_a_lost_call_like_a_service_that_cannot_be_reached(monk
     transport = GrpcTransport("127.0.0.1:1", ONCE)
     try:
         with pytest.raises(Unavailable) as failure:
-            transport.status()
+            transport.call("GetStatus", system_pb2.GetStatusRequest())
     finally:
         transport.close()
     assert (failure.value.reason, failure.value.retryable) == ("UNREACHABLE", True)

@@ -7,6 +7,7 @@ from types import SimpleNamespace
 import pytest
 
 from revisit import Client
+from revisit.api.calls import CALLS
 from revisit.sdk.errors import InvalidArgument
 
 
@@ -16,15 +17,12 @@ class Recording:
     def __init__(self):
         self.asked = []
 
-    def list(self, collection, request):
-        self.asked.append(request.parent)
-        return iter(())
-
-    def get(self, name, *, full=False):
-        self.asked.append(name)
+    def call(self, name, request):
+        if name.startswith("List"):
+            self.asked.append(request.parent)
+            return CALLS[name].response()
+        self.asked.append(request.name)
         raise LookupError
-
-    retry_operation = cancel_operation = resume_webhook = optimise_map = finish_session = delete = get
 
 
 @pytest.mark.parametrize("named", ["courtyard", "maps/courtyard", SimpleNamespace(name="maps/courtyard")])

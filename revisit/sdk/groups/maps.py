@@ -1,0 +1,100 @@
+"""Maps, and merging them."""
+
+from __future__ import annotations
+
+import builtins
+from dataclasses import asdict
+from typing import Any
+
+from revisit.sdk import names
+from revisit.sdk.groups.group import Group
+from revisit.sdk.messages import pose_message
+from revisit.sdk.names import name_of
+from revisit.sdk.resources import LoopPolicy, Map, MapMerge, MapVersion, Operation, Session
+
+
+class Maps(Group):
+    """`client.maps`."""
+
+    def create(
+        self,
+        map_id: str,
+        *,
+        display_name: str = "",
+        tau_m: float | None = None,
+        stride_m: float | None = None,
+        leave_distance_m: float | None = None,
+        scene_scale: float | None = None,
+        loop_policy: LoopPolicy = LoopPolicy(),
+    ) -> Map:
+        """Create a map; None is as the service is configured.
+
+        `scene_scale` is the size of the scene compared with a street, e.g. 0.25 for rooms; it cannot be changed later.
+        """
+        created = self._ask(
+            "CreateMap",
+            map_id=map_id,
+            display_name=display_name,
+            tau_m=tau_m,
+            stride_m=stride_m,
+            leave_distance_m=leave_distance_m,
+            scene_scale=scene_scale,
+            loop_policy={name: value for name, value in asdict(loop_policy).items() if value is not None} or None,
+        )
+        return Map.of(created)
+
+    def get(self, name: str) -> Map:
+        """Get `maps/{map}`."""
+        return Map.of(self._ask("GetMap", name=name_of(name, names.MAP)))
+
+    def list(self) -> builtins.list[Map]:
+        """All maps, oldest first."""
+        return self._list(Map, "ListMaps")
+
+    def delete(self, map_: str | Map) -> None:
+        """Delete a map with everything in it."""
+        self._ask("DeleteMap", name=name_of(map_, names.MAP))
+
+    def optimise(self, map_: str | Map) -> Operation:
+        """Optimise the pose graph of a map: the operation whose end is a new version. One that waits is answered."""
+        return Operation.of(self._ask("OptimiseMap", name=name_of(map_, names.MAP)))
+
+    def revert(self, map_: str | Map, version: int) -> MapVersion:
+        """Bring back the poses of an earlier version, bit for bit, as a new version."""
+        return MapVersion.of(self._ask("RevertMap", name=name_of(map_, names.MAP), version=version))
+
+    def merge(
+        self,
+        map_: str | Map,
+        source: str | Map | Session,
+        *,
+        validate_only: bool = False,
+        T_map_source: Any = None,
+        radius_m: float | None = None,
+    ) -> Operation:
+        """Merge `source`, another map or a session of it, into a map: the operation whose end is a new version.
+
+        Its result has `verdict` MERGED, REFUSED (with `refusal`) or, with `validate_only`, MERGEABLE, and alignment and
+        evidence. `T_map_source` (4, 4) is roughly where the frame of the source lies in that of the map.
+        """
+        asked = self._ask(
+            "MergeMap",
+            name=name_of(map_, names.MAP),
+            source=name_of(source, names.MAP),
+            validate_only=validate_only,
+            radius_m=radius_m,
+            t_map_source=pose_message(T_map_source, "T_map_source"),
+        )
+        return Operation.of(asked)
+
+    def merges(self, map_: str | Map) -> builtins.list[MapMerge]:
+        """The merges into a map, oldest first, with what changed between the days."""
+        return self._list(MapMerge, "ListMapMerges", parent=name_of(map_, names.MAP))
+
+    def get_merge(self, name: str) -> MapMerge:
+        """Get `maps/{map}/merges/{merge}`."""
+        return MapMerge.of(self._ask("GetMapMerge", name=name_of(name, names.MERGE)))
+
+    def revert_merge(self, merge: str | MapMerge) -> MapMerge:
+        """Take the last merge into a map back: its copies are deleted, the poses from before it come back."""
+        return MapMerge.of(self._ask("RevertMapMerge", name=name_of(merge, names.MERGE)))

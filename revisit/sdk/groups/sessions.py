@@ -1,0 +1,57 @@
+"""Sessions, and where they lie in the map."""
+
+from __future__ import annotations
+
+import builtins
+
+from revisit.sdk import names
+from revisit.sdk.groups.group import Group
+from revisit.sdk.input_watch import warn_of_session
+from revisit.sdk.names import name_of
+from revisit.sdk.resources import Correction, Map, Robot, Session
+
+
+class Sessions(Group):
+    """`client.sessions`."""
+
+    def create(
+        self, map_: str | Map, session_id: str, *, robot: str | Robot | None = None, storey: str | None = None
+    ) -> Session:
+        """Create a session in a map.
+
+        `storey` is the storey of a building that all of it is driven on, as B2: it is never compared with sessions on
+        storeys of another name. Without it, it is compared with all.
+        """
+        of_robot = None if robot is None else name_of(robot, names.ROBOT)
+        parent = name_of(map_, names.MAP)
+        return Session.of(
+            self._ask("CreateSession", parent=parent, session_id=session_id, robot=of_robot, storey=storey)
+        )
+
+    def get(self, name: str) -> Session:
+        """Get `maps/{map}/sessions/{session}`."""
+        return Session.of(self._ask("GetSession", name=name_of(name, names.SESSION)))
+
+    def list(self, map_: str | Map) -> builtins.list[Session]:
+        """The sessions of a map, oldest first."""
+        return self._list(Session, "ListSessions", parent=name_of(map_, names.MAP))
+
+    def finish(self, session: str | Session) -> Session:
+        """Finish a session; the scans of its last, shorter window become a submap.
+
+        Warns of the findings of the service so far (`SuspiciousInput`, `Session.findings`).
+        """
+        finished = Session.of(self._ask("FinishSession", name=name_of(session, names.SESSION)))
+        warn_of_session(finished.findings)
+        return finished
+
+    def delete(self, session: str | Session) -> None:
+        """Delete a session with everything in it."""
+        self._ask("DeleteSession", name=name_of(session, names.SESSION))
+
+    def correction(self, session: str | Session) -> Correction:
+        """Where the odometry frame of a session lies in the map.
+
+        Raises FailedPrecondition (NOT_READY) where no version of the map has the session yet.
+        """
+        return Correction.of(self._ask("GetCorrection", name=name_of(session, names.SESSION)))

@@ -1,0 +1,99 @@
+"""Requests as HTTP sends them: path, query string and body out of a message and the row of its call."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from typing import Any
+
+from google.protobuf.descriptor import FieldDescriptor
+from google.protobuf.message import Message
+
+from revisit.api.calls import NAMED, Call
+from revisit.api.http_form import is_point, is_transform, spelling
+from revisit.sdk.resources import Json
+from revisit.v1 import cloud_pb2, geometry_pb2
+
+SENT_ALWAYS = frozenset({"stamp_ns", "submap_id"})
+"""Parameters that the service must be given, also where they are 0 or empty."""
+
+NOT_FIELDS = frozenset({"cloud", "place_descriptor"})
+"""The body itself, or several of its fields."""
+
+
+@dataclass(frozen=True)
+class HttpRequest:
+    """Method and path of a request, and the other arguments as httpx takes them."""
+
+    verb: str
+    path: str
+    arguments: Json = field(default_factory=dict)
+
+
+def http_request(call: Call, request: Any) -> HttpRequest:
+    """The request of a call that HTTP has."""
+    verb, _, rule = call.row.http.partition(" ")
+    path = NAMED.sub(lambda found: str(getattr(request, found["field"])), rule)
+    named = found["field"] if (found := NAMED.search(rule)) else ""
+    if "cloud" in request.DESCRIPTOR.fields_by_name and request.HasField("cloud"):
+        return HttpRequest(verb, path, cloud_arguments(request.cloud, dict(_spelled(request, named, _in_query))))
+    if verb == "POST":
+        has_body = any(one.name != named for one in request.DESCRIPTOR.fields)
+        return HttpRequest(verb, path, {"json": _body(request, named)} if has_body else {})
+    return HttpRequest(verb, path, {"params": dict(_spelled(request, named, _in_query))})
+
+
+def cloud_arguments(cloud: cloud_pb2.Cloud, params: Json) -> Json:
+    """The arguments of a request whose body is a cloud."""
+    headers = {"content-type": cloud.encoded.content_type}
+    return {"content": cloud.encoded.data, "params": params, "headers": headers}
+
+
+def pose_text(pose: geometry_pb2.Transform) -> str:
+    """x,y,z,qx,qy,qz,qw."""
+    t, q = pose.translation, pose.rotation
+    return ",".join(repr(number) for number in (t.x, t.y, t.z, q.x, q.y, q.z, q.w))
+
+
+def _body(request: Any, named: str) -> Json:
+    body = dict(_spelled(request, named, _in_body))
+    if "place_descriptor" in request.DESCRIPTOR.fields_by_name and request.HasField("place_descriptor"):
+        body["descriptor"] = list(request.place_descriptor.vector)
+        body["model_version"] = request.place_descriptor.model_version
+    return body
+
+
+def _spelled(request: Message, named: str, value_of: Callable[[Any, Any], Any]) -> Iterator[tuple[str, Any]]:
+    """Names and values over HTTP of the fields that are set."""
+    for one, value in request.ListFields():
+        if one.name == named or one.name in NOT_FIELDS:
+            continue
+        name, resource = spelling(one)
+        yield name, value.rpartition("/")[2] if resource else value_of(one, value)
+    for one in request.DESCRIPTOR.fields:
+        if one.name in SENT_ALWAYS:
+            yield one.name, getattr(request, one.name)
+
+
+def _in_query(one: FieldDescriptor, value: Any) -> Any:
+    if is_point(one) and not one.is_repeated:
+        return ",".join(repr(number) for number in (value.x, value.y, value.z))
+    return _in_body(one, value)
+
+
+def _in_body(one: FieldDescriptor, value: Any) -> Any:
+    """A value as the JSON of requests, in which 64-bit integers are numbers."""
+    if is_transform(one):
+        return pose_text(value)
+    if is_point(one):
+        points = value if one.is_repeated else [value]
+        return [number for point in points for number in (point.x, point.y, point.z)]
+    if one.is_repeated:
+        return [_one(one, item) for item in value]
+    return _one(one, value)
+
+
+def _one(one: FieldDescriptor, value: Any) -> Any:
+    if one.message_type is not None:
+        return {part.name: _in_body(part, item) for part, item in value.ListFields()}
+    return value if one.enum_type is None else one.enum_type.values_by_number[value].name
