@@ -14,7 +14,7 @@ from revisit.sdk.clouds import Cloud
 from revisit.sdk.credentials import Credentials
 from revisit.sdk.errors import ApiError, ErrorDetails, error_of, unreachable
 from revisit.sdk.grpc_answers import LOST_AFTER_S, Answers, LostCall, answer
-from revisit.sdk.resources import Json
+from revisit.sdk.reading import Json
 from revisit.sdk.retry import RetryPolicy
 from revisit.sdk.scan_stream import GrpcScanSink, holds_scan
 from revisit.sdk.transport import SILENT_S, Forgetful, StreamJournal

@@ -11,7 +11,7 @@ from google.protobuf.message import Message
 
 from revisit.api.calls import NAMED, Call
 from revisit.api.http_form import is_point, is_transform, spelling
-from revisit.sdk.resources import Json
+from revisit.sdk.reading import Json
 from revisit.v1 import cloud_pb2, geometry_pb2
 
 SENT_ALWAYS = frozenset({"stamp_ns", "submap_id"})
@@ -70,9 +70,9 @@ def _spelled(request: Message, named: str, value_of: Callable[[Any, Any], Any]) 
             continue
         name, resource = spelling(one)
         yield name, value.rpartition("/")[2] if resource else value_of(one, value)
-    for one in request.DESCRIPTOR.fields:
-        if one.name in SENT_ALWAYS:
-            yield one.name, getattr(request, one.name)
+    for required in request.DESCRIPTOR.fields:
+        if required.name in SENT_ALWAYS:
+            yield required.name, getattr(request, required.name)
 
 
 def _in_query(one: FieldDescriptor, value: Any) -> Any:

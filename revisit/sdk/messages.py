@@ -11,7 +11,8 @@ from google.protobuf.message import Message
 from revisit.core.errors import RevisitError
 from revisit.sdk.clouds import Cloud, PointsLike, encoded
 from revisit.sdk.errors import ErrorDetails, InvalidArgument
-from revisit.sdk.resources import Json, pose_json
+from revisit.sdk.reading import Json
+from revisit.sdk.resources import pose_json
 from revisit.v1 import cloud_pb2
 
 M = TypeVar("M", bound=Message)

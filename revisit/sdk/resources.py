@@ -2,32 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, fields
-from typing import Any, Self
+from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
-from google.protobuf.json_format import MessageToDict
 from numpy.typing import NDArray
 
 from revisit.core.geometry import se3
-from revisit.v1 import (
-    event_pb2,
-    geometry_pb2,
-    loop_closure_pb2,
-    map_file_pb2,
-    map_pb2,
-    map_tile_pb2,
-    mapping_pb2,
-    operation_pb2,
-    robot_pb2,
-    session_pb2,
-    submap_pb2,
-    system_pb2,
-    webhook_pb2,
-)
-
-Json = dict[str, Any]
-Matrix4 = NDArray[np.float64]
+from revisit.sdk.reading import Json, Matrix4, Read, Resource, covariance_of, matrix, read_by, vector_of
 
 
 def pose_json(T_target_source: Any) -> Json:
@@ -38,8 +20,41 @@ def pose_json(T_target_source: Any) -> Json:
     return {"translation": translation, "rotation": rotation}
 
 
+def _in_map(pose: str) -> Read:
+    """A pose in the map: the transform in the field `pose`, with its frame and version."""
+
+    def read(message: Any) -> MapPose | None:
+        if not message.HasField(pose):
+            return None
+        return MapPose(matrix(getattr(message, pose)), message.frame, message.map_version)
+
+    return read
+
+
+def _pairs(message: Any) -> NDArray[np.int64]:
+    return np.array([(pair.query, pair.match) for pair in message.pairs], dtype=np.int64).reshape(-1, 2)
+
+
+def _agreements(message: Any) -> NDArray[np.bool_]:
+    return np.array([pair.agrees for pair in message.pairs], dtype=bool)
+
+
+def _distances(name: str) -> Read:
+    """Numbers (n,), NaN where one is absent."""
+    return lambda message: np.array(
+        [getattr(one, name) if one.HasField(name) else np.nan for one in message.distances], dtype=np.float64
+    )
+
+
+def _rows(name: str) -> Read:
+    """Points or directions (n, 3)."""
+    return lambda message: np.array(
+        [vector_of(getattr(one, name)) for one in message.points], dtype=np.float64
+    ).reshape(-1, 3)
+
+
 @dataclass(frozen=True)
-class LoopPolicy:
+class LoopPolicy(Resource):
     """Which loop closures are accepted; None stands for the value of the service.
 
     `candidates`: submaps that are verified for each new one. A candidate is accepted with a score of at least
@@ -51,14 +66,9 @@ class LoopPolicy:
     min_overlap: float | None = None
     max_seen_through: float | None = None
 
-    @classmethod
-    def of(cls, message: map_pb2.LoopPolicy) -> Self:
-        """From its message."""
-        return cls(**{item.name: _optional(message, item.name) for item in fields(cls)})
-
 
 @dataclass(frozen=True)
-class Map:
+class Map(Resource):
     """A map; `scene_scale` is the size of its scene compared with a street, `loop_policy` has the values in force.
 
     `map_version` is the version of its poses that answers rest on, 0 before the first.
@@ -76,23 +86,6 @@ class Map:
     loop_policy: LoopPolicy = LoopPolicy()
     map_version: int = 0
 
-    @classmethod
-    def of(cls, message: map_pb2.Map) -> Self:
-        """From its message."""
-        return cls(
-            name=message.name,
-            display_name=message.display_name,
-            tau_m=message.tau_m,
-            stride_m=message.stride_m,
-            leave_distance_m=message.leave_distance_m,
-            scene_scale=message.scene_scale,
-            session_count=message.session_count,
-            submap_count=message.submap_count,
-            created_at_ns=message.created_at_ns,
-            loop_policy=LoopPolicy.of(message.loop_policy),
-            map_version=message.map_version,
-        )
-
 
 @dataclass(frozen=True)
 class MapPose:
@@ -104,21 +97,16 @@ class MapPose:
 
 
 @dataclass(frozen=True)
-class Robot:
+class Robot(Resource):
     """A robot."""
 
     name: str
     display_name: str
     created_at_ns: int
 
-    @classmethod
-    def of(cls, message: robot_pb2.Robot) -> Self:
-        """From its message."""
-        return cls(message.name, message.display_name, message.created_at_ns)
-
 
 @dataclass(frozen=True)
-class Finding:
+class Finding(Resource):
     """Something about scans that is unlikely to be meant, in so many submaps: its likely cause, and what to do."""
 
     code: str
@@ -126,14 +114,9 @@ class Finding:
     cause: str
     advice: str
 
-    @classmethod
-    def of(cls, message: session_pb2.Finding) -> Self:
-        """From its message."""
-        return cls(message.code, message.submaps, message.cause, message.advice)
-
 
 @dataclass(frozen=True)
-class NoLoops:
+class NoLoops(Resource):
     """Why a session has no accepted loop: a code, and the same in words, with figures."""
 
     code: str
@@ -141,7 +124,7 @@ class NoLoops:
 
 
 @dataclass(frozen=True)
-class Session:
+class Session(Resource):
     """A session; `committed_seq` is the last scan that is stored durably, 0 for none, taken at `committed_stamp_ns`.
 
     `findings` say what is unlikely to be meant about its scans so far; `no_loops` why it has no accepted loop, once it
@@ -161,27 +144,9 @@ class Session:
     storey: str | None = None
     no_loops: NoLoops | None = None
 
-    @classmethod
-    def of(cls, message: session_pb2.Session) -> Self:
-        """From its message."""
-        return cls(
-            name=message.name,
-            robot=message.robot or None,
-            state=_word(message, "state"),
-            committed_seq=message.committed_seq,
-            travelled_m=message.travelled_m,
-            submap_count=message.submap_count,
-            created_at_ns=message.created_at_ns,
-            finished_at_ns=_optional(message, "finished_at_ns"),
-            committed_stamp_ns=_optional(message, "committed_stamp_ns"),
-            findings=tuple(Finding.of(finding) for finding in message.findings),
-            storey=message.storey or None,
-            no_loops=NoLoops(message.no_loops.code, message.no_loops.message) if message.HasField("no_loops") else None,
-        )
-
 
 @dataclass(frozen=True)
-class Operation:
+class Operation(Resource):
     """Work that goes on after the answer; `result` once DONE, `failure_reason` once FAILED.
 
     `seq` is that of the submap, where `post_submap` returned the operation: the `min_seq` of a query that must see it.
@@ -194,9 +159,9 @@ class Operation:
     subject: str
     attempts: int
     result: Json | None
-    failure_reason: str | None
-    failure_message: str | None
-    seq: int | None = field(default=None, compare=False)
+    failure_reason: str | None = field(metadata=read_by(lambda message: message.failure.reason or None))
+    failure_message: str | None = field(metadata=read_by(lambda message: message.failure.message or None))
+    seq: int | None = field(default=None, compare=False, metadata=read_by(lambda _message: None))
     progress: OperationProgress | None = field(default=None, compare=False)
     cancel_requested: bool = field(default=False, compare=False)
 
@@ -205,39 +170,18 @@ class Operation:
         """Whether it has ended, well or not."""
         return self.state in ("DONE", "FAILED")
 
-    @classmethod
-    def of(cls, message: operation_pb2.Operation) -> Self:
-        """From its message."""
-        return cls(
-            name=message.name,
-            kind=_word(message, "kind"),
-            state=_word(message, "state"),
-            subject=message.subject,
-            attempts=message.attempts,
-            result=_json(message, "result"),
-            failure_reason=message.failure.reason or None,
-            failure_message=message.failure.message or None,
-            progress=OperationProgress.of(message.progress) if message.HasField("progress") else None,
-            cancel_requested=message.cancel_requested,
-        )
-
 
 @dataclass(frozen=True)
-class OperationProgress:
+class OperationProgress(Resource):
     """How far an operation has come: `done` of `total` parts of a stage."""
 
     stage: str
     done: int
     total: int
 
-    @classmethod
-    def of(cls, message: operation_pb2.OperationProgress) -> Self:
-        """From its message."""
-        return cls(message.stage, message.done, message.total)
-
 
 @dataclass(frozen=True)
-class Submap:
+class Submap(Resource):
     """A submap; sizes in bytes, the position in the session's odometry frame.
 
     `descriptor` is there where the full view was asked for and the submap is described. `seq` grows with every submap
@@ -260,53 +204,23 @@ class Submap:
     flags: tuple[str, ...]
     model_version: str | None
     operation: str
-    descriptor: tuple[float, ...] = ()
+    descriptor: tuple[float, ...] = field(default=(), metadata=read_by(lambda message: tuple(message.place_descriptor)))
     seq: int = 0
-    in_map: MapPose | None = field(default=None, compare=False)
-
-    @classmethod
-    def of(cls, message: submap_pb2.Submap) -> Self:
-        """From its message."""
-        return cls(
-            name=message.name,
-            state=_word(message, "state"),
-            ordinal=message.ordinal,
-            T_odom_submap=_matrix(message.t_odom_submap),
-            position_m=_vector(message.position_m),
-            stamp_ns=message.stamp_ns,
-            first_seq=_optional(message, "first_seq"),
-            last_seq=_optional(message, "last_seq"),
-            scan_count=message.scan_count,
-            point_count=message.point_count,
-            raw_bytes=message.raw_bytes,
-            neural_map_bytes=_optional(message, "neural_map_bytes"),
-            flags=tuple(message.flags),
-            model_version=message.model_version or None,
-            operation=message.operation,
-            descriptor=tuple(message.place_descriptor),
-            seq=message.seq,
-            in_map=_map_pose(message, "t_map_submap"),
-        )
+    in_map: MapPose | None = field(default=None, compare=False, metadata=read_by(_in_map("t_map_submap")))
 
 
 @dataclass(frozen=True)
-class SearchHit:
+class SearchHit(Resource):
     """A submap and its cosine similarity to the query; `in_map` is T_map_submap where its session has a frame."""
 
     submap: str
     similarity: float
     position_m: tuple[float, float, float]
-    in_map: MapPose | None = field(default=None, compare=False)
-
-    @classmethod
-    def of(cls, message: loop_closure_pb2.SearchHit) -> Self:
-        """From its message."""
-        in_map = _map_pose(message, "t_map_submap")
-        return cls(message.submap, message.similarity, _vector(message.position_m), in_map)
+    in_map: MapPose | None = field(default=None, compare=False, metadata=read_by(_in_map("t_map_submap")))
 
 
 @dataclass(frozen=True)
-class Candidate:
+class Candidate(Resource):
     """A submap that was compared with a cloud: accepted with a transform, or rejected for a reason."""
 
     submap: str
@@ -317,22 +231,9 @@ class Candidate:
     T_match_query: Matrix4 | None = field(compare=False)
     evidence: Json
 
-    @classmethod
-    def of(cls, message: loop_closure_pb2.LocalizedCandidate) -> Self:
-        """From its message."""
-        return cls(
-            submap=message.submap,
-            accepted=message.accepted,
-            reason=message.reason or None,
-            similarity=message.similarity,
-            score=message.score,
-            T_match_query=_optional_matrix(message, "t_match_query"),
-            evidence=_json(message, "evidence") or {},
-        )
-
 
 @dataclass(frozen=True)
-class Localization:
+class Localization(Resource):
     """The best verified candidate, None where the place is unknown, and all that were compared.
 
     `T_odom_query` (4, 4) is the cloud's pose in the odometry frame of `session`, the session of the best candidate;
@@ -344,24 +245,12 @@ class Localization:
     T_odom_query: Matrix4 | None = field(compare=False)
     session: str | None
     candidates: tuple[Candidate, ...]
-    in_map: MapPose | None = field(default=None, compare=False)
+    in_map: MapPose | None = field(default=None, compare=False, metadata=read_by(_in_map("t_map_query")))
     on_other_storeys: int = 0
-
-    @classmethod
-    def of(cls, message: loop_closure_pb2.LocalizeResponse) -> Self:
-        """From its message."""
-        return cls(
-            best=Candidate.of(message.best) if message.HasField("best") else None,
-            T_odom_query=_optional_matrix(message, "t_odom_query"),
-            session=message.session or None,
-            candidates=tuple(Candidate.of(candidate) for candidate in message.candidates),
-            in_map=_map_pose(message, "t_map_query"),
-            on_other_storeys=message.on_other_storeys,
-        )
 
 
 @dataclass(frozen=True)
-class LoopClosure:
+class LoopClosure(Resource):
     """A pair of submaps that look alike, with the verdict; `T_match_query` maps query-frame points to match-frame."""
 
     name: str
@@ -377,47 +266,23 @@ class LoopClosure:
     created_at_ns: int
     graph_state: str | None = None
     manual: bool = False
-    in_map: MapPose | None = field(default=None, compare=False)
+    in_map: MapPose | None = field(default=None, compare=False, metadata=read_by(_in_map("t_map_query")))
     T_map_match: Matrix4 | None = field(default=None, compare=False)
-
-    @classmethod
-    def of(cls, message: loop_closure_pb2.LoopClosure) -> Self:
-        """From its message."""
-        return cls(
-            name=message.name,
-            number=message.number,
-            query=message.query,
-            match=message.match,
-            state=_word(message, "state"),
-            reason=message.reason or None,
-            similarity=message.similarity,
-            score=message.score,
-            T_match_query=_optional_matrix(message, "t_match_query"),
-            evidence=_json(message, "evidence") or {},
-            created_at_ns=message.created_at_ns,
-            graph_state=_word(message, "graph_state") if message.graph_state else None,
-            manual=message.manual,
-            in_map=_map_pose(message, "t_map_query"),
-            T_map_match=_optional_matrix(message, "t_map_match"),
-        )
 
 
 @dataclass(frozen=True)
-class KeypointPlan:
+class KeypointPlan(Resource):
     """The keypoints (n, 2) of a submap, metres in its upright frame; T_submap_level (4, 4) is where that lies."""
 
     submap: str
     T_submap_level: Matrix4 = field(compare=False)
-    keypoints: NDArray[np.float64] = field(compare=False)
-
-    @classmethod
-    def of(cls, message: loop_closure_pb2.KeypointPlan) -> Self:
-        """From its message."""
-        return cls(message.submap, _matrix(message.t_submap_level), np.stack([message.x, message.y], axis=1))
+    keypoints: NDArray[np.float64] = field(
+        compare=False, metadata=read_by(lambda plan: np.stack([plan.x, plan.y], axis=1))
+    )
 
 
 @dataclass(frozen=True)
-class LoopKeypoints:
+class LoopKeypoints(Resource):
     """What was compared for a loop closure, as the method saw both submaps from above.
 
     pairs (p, 2): rows of the keypoints of query and match that look alike, the most alike first; agrees (p,): whether
@@ -426,19 +291,12 @@ class LoopKeypoints:
 
     query: KeypointPlan
     match: KeypointPlan
-    pairs: NDArray[np.int64] = field(compare=False)
-    agrees: NDArray[np.bool_] = field(compare=False)
-
-    @classmethod
-    def of(cls, message: loop_closure_pb2.GetLoopClosureKeypointsResponse) -> Self:
-        """From its message."""
-        pairs = np.array([(pair.query, pair.match) for pair in message.pairs], dtype=np.int64).reshape(-1, 2)
-        agrees = np.array([pair.agrees for pair in message.pairs], dtype=bool)
-        return cls(KeypointPlan.of(message.query), KeypointPlan.of(message.match), pairs, agrees)
+    pairs: NDArray[np.int64] = field(compare=False, metadata=read_by(_pairs))
+    agrees: NDArray[np.bool_] = field(compare=False, metadata=read_by(_agreements))
 
 
 @dataclass(frozen=True)
-class LoopClosureEvent:
+class LoopClosureEvent(Resource):
     """A change of a loop closure: its state from then on, who made it, and why.
 
     `details` holds thresholds and model version of a verdict, or the squared distance from the poses of a version.
@@ -456,26 +314,9 @@ class LoopClosureEvent:
     details: Json
     at_ns: int
 
-    @classmethod
-    def of(cls, message: loop_closure_pb2.LoopClosureEvent) -> Self:
-        """From its message."""
-        return cls(
-            number=message.number,
-            kind=_word(message, "kind"),
-            state=_word(message, "state"),
-            reason=message.reason or None,
-            graph_state=_word(message, "graph_state") if message.graph_state else None,
-            T_match_query=_optional_matrix(message, "t_match_query"),
-            actor=message.actor,
-            note=message.note,
-            map_version=message.map_version or None,
-            details=_json(message, "details") or {},
-            at_ns=message.at_ns,
-        )
-
 
 @dataclass(frozen=True)
-class MapChange:
+class MapChange(Resource):
     """Something that one day has and the other has not: `kind` VANISHED or APPEARED.
 
     A box along the axes of the map's frame: centre and extent (3,) in metres, around so many neural `points`.
@@ -486,20 +327,9 @@ class MapChange:
     extent_m: tuple[float, float, float]
     points: int
 
-    @classmethod
-    def of(cls, message: mapping_pb2.MapChange) -> Self:
-        """From its message."""
-        centre, extent = message.centre_m, message.extent_m
-        return cls(
-            kind=_word(message, "kind"),
-            centre_m=(centre.x, centre.y, centre.z),
-            extent_m=(extent.x, extent.y, extent.z),
-            points=message.points,
-        )
-
 
 @dataclass(frozen=True)
-class MapMerge:
+class MapMerge(Resource):
     """A merge into a map: `source` was copied as `sessions`, version `version_before` became `version`.
 
     `report` has alignment and evidence; `changes` are what vanished since the map was made, and what appeared;
@@ -516,24 +346,9 @@ class MapMerge:
     created_at_ns: int
     reverted_at_ns: int | None
 
-    @classmethod
-    def of(cls, message: mapping_pb2.MapMerge) -> Self:
-        """From its message."""
-        return cls(
-            name=message.name,
-            source=message.source,
-            version_before=message.version_before,
-            version=message.version,
-            sessions=tuple(message.sessions),
-            report=_json(message, "report") or {},
-            changes=tuple(MapChange.of(one) for one in message.changes),
-            created_at_ns=message.created_at_ns,
-            reverted_at_ns=_optional(message, "reverted_at_ns"),
-        )
-
 
 @dataclass(frozen=True)
-class MapVersion:
+class MapVersion(Resource):
     """A version of a map's poses. `summary` says what it rests on; `restored_from` is None where it was optimised."""
 
     name: str
@@ -545,23 +360,9 @@ class MapVersion:
     summary: MapVersionSummary
     created_at_ns: int
 
-    @classmethod
-    def of(cls, message: mapping_pb2.MapVersion) -> Self:
-        """From its message."""
-        return cls(
-            name=message.name,
-            version=message.version,
-            in_force=message.in_force,
-            restored_from=message.restored_from or None,
-            content_hash=message.content_hash,
-            operation=message.operation or None,
-            summary=MapVersionSummary.of(message.summary),
-            created_at_ns=message.created_at_ns,
-        )
-
 
 @dataclass(frozen=True)
-class MapTile:
+class MapTile(Resource):
     """A square of a version of a map, in metres of the frame seen from above; `submaps` may reach into it.
 
     One that was `made` can be downloaded at once; others are made by a worker then.
@@ -569,20 +370,14 @@ class MapTile:
 
     name: str
     frame: str
-    min_m: tuple[float, float]
-    max_m: tuple[float, float]
+    min_m: tuple[float, float] = field(metadata=read_by(lambda message: (message.min_x_m, message.min_y_m)))
+    max_m: tuple[float, float] = field(metadata=read_by(lambda message: (message.max_x_m, message.max_y_m)))
     submaps: int
     made: bool
 
-    @classmethod
-    def of(cls, message: map_tile_pb2.MapTile) -> Self:
-        """From its message."""
-        lower, upper = (message.min_x_m, message.min_y_m), (message.max_x_m, message.max_y_m)
-        return cls(message.name, message.frame, lower, upper, message.submaps, message.made)
-
 
 @dataclass(frozen=True)
-class MapDistances:
+class MapDistances(Resource):
     """Signed distances (n,) of points to the surface of a map, metres, positive in free space, cut at a truncation.
 
     `nearest_m` (n,) says how far the nearest neural point is. Both are NaN where nothing was seen near.
@@ -590,39 +385,23 @@ class MapDistances:
 
     map_version: int
     frame: str
-    distance_m: NDArray[np.float64] = field(compare=False)
-    nearest_m: NDArray[np.float64] = field(compare=False)
-
-    @classmethod
-    def of(cls, message: map_tile_pb2.MeasureMapDistancesResponse) -> Self:
-        """From its message."""
-        columns = [
-            np.array([_given(one, name) for one in message.distances], dtype=np.float64)
-            for name in ("distance_m", "nearest_m")
-        ]
-        return cls(message.map_version, message.frame, columns[0], columns[1])
+    distance_m: NDArray[np.float64] = field(compare=False, metadata=read_by(_distances("distance_m")))
+    nearest_m: NDArray[np.float64] = field(compare=False, metadata=read_by(_distances("nearest_m")))
 
 
 @dataclass(frozen=True)
-class MapPoints:
+class MapPoints(Resource):
     """Points (n, 3) of the surface of a map around one, with unit normals (n, 3), the nearest first; `total` in all."""
 
     map_version: int
     frame: str
-    positions: NDArray[np.float64] = field(compare=False)
-    normals: NDArray[np.float64] = field(compare=False)
+    positions: NDArray[np.float64] = field(compare=False, metadata=read_by(_rows("position_m")))
+    normals: NDArray[np.float64] = field(compare=False, metadata=read_by(_rows("normal")))
     total: int
-
-    @classmethod
-    def of(cls, message: map_tile_pb2.FindMapPointsResponse) -> Self:
-        """From its message."""
-        rows = [(p.x, p.y, p.z, n.x, n.y, n.z) for p, n in ((one.position_m, one.normal) for one in message.points)]
-        table = np.array(rows, dtype=np.float64).reshape(-1, 6)
-        return cls(message.map_version, message.frame, table[:, :3], table[:, 3:], message.total)
 
 
 @dataclass(frozen=True)
-class MapFile:
+class MapFile(Resource):
     """A version of a map as one file, in the words of VDA 5050; `map_status` is ENABLED or DISABLED."""
 
     name: str
@@ -636,15 +415,9 @@ class MapFile:
     submaps: int
     created_at_ns: int
 
-    @classmethod
-    def of(cls, message: map_file_pb2.MapFile) -> Self:
-        """From its message."""
-        given = {one.name: getattr(message, one.name) for one in fields(cls) if one.name != "map_status"}
-        return cls(**given, map_status=_word(message, "map_status"))
-
 
 @dataclass(frozen=True)
-class RefusedJoin:
+class RefusedJoin(Resource):
     """Sessions, by name on both sides, that `loops` would join and whose surfaces contradict it.
 
     reason: OVERLAP_TOO_SMALL, SURFACES_DISAGREE or FREE_SPACE_VIOLATED; residual_m, median distance of the common
@@ -660,22 +433,9 @@ class RefusedJoin:
     residual_m: float | None
     seen_through_share: float
 
-    @classmethod
-    def of(cls, message: mapping_pb2.RefusedJoin) -> Self:
-        """From its message."""
-        return cls(
-            tuple(message.sessions),
-            tuple(message.other_sessions),
-            message.reason,
-            message.loops,
-            message.common_points,
-            _optional(message, "residual_m"),
-            message.seen_through_share,
-        )
-
 
 @dataclass(frozen=True)
-class MapVersionSummary:
+class MapVersionSummary(Resource):
     """What a version of a map rests on.
 
     `frames` counts the groups of sessions that loops join; chi2 is to be compared with `degrees_of_freedom`; changes
@@ -695,18 +455,9 @@ class MapVersionSummary:
     max_change_m: float | None
     refused_joins: tuple[RefusedJoin, ...] = ()
 
-    @classmethod
-    def of(cls, message: mapping_pb2.MapVersionSummary) -> Self:
-        """From its message."""
-        special = ("mean_change_m", "max_change_m", "refused_joins")
-        given = {item.name: getattr(message, item.name) for item in fields(cls) if item.name not in special}
-        refused = tuple(RefusedJoin.of(one) for one in message.refused_joins)
-        changes = {name: _optional(message, name) for name in special[:2]}
-        return cls(**given, **changes, refused_joins=refused)
-
 
 @dataclass(frozen=True)
-class SubmapPose:
+class SubmapPose(Resource):
     """Where a submap lies in a frame of the map; covariance (6, 6) of (x, y, z, rx, ry, rz) in the submap's frame.
 
     The covariance is NaN where the graph does not tell it.
@@ -715,16 +466,11 @@ class SubmapPose:
     submap: str
     T_map_submap: Matrix4 = field(compare=False)
     frame: str
-    covariance: Matrix4 = field(compare=False)
-
-    @classmethod
-    def of(cls, message: mapping_pb2.SubmapPose) -> Self:
-        """From its message."""
-        return cls(message.submap, _matrix(message.t_map_submap), message.frame, _covariance(message))
+    covariance: Matrix4 = field(compare=False, metadata=read_by(covariance_of))
 
 
 @dataclass(frozen=True)
-class Correction:
+class Correction(Resource):
     """Where the odometry frame of a session lies in the map: T_map_odom @ T_odom_sensor is a sensor's pose in the map.
 
     Poses of the same `frame` are in one map. `covariance` (6, 6) of (x, y, z, rx, ry, rz) in the frame of the last
@@ -736,26 +482,13 @@ class Correction:
     T_map_odom: Matrix4 = field(compare=False)
     frame: str
     map_version: int
-    covariance: Matrix4 = field(compare=False)
+    covariance: Matrix4 = field(compare=False, metadata=read_by(covariance_of))
     created_at_ns: int
     early_loops: int = 0
 
-    @classmethod
-    def of(cls, message: mapping_pb2.Correction) -> Self:
-        """From its message."""
-        return cls(
-            session=message.session,
-            T_map_odom=_matrix(message.t_map_odom),
-            frame=message.frame,
-            map_version=message.map_version,
-            covariance=_covariance(message),
-            created_at_ns=message.created_at_ns,
-            early_loops=message.early_loops,
-        )
-
 
 @dataclass(frozen=True)
-class Event:
+class Event(Resource):
     """Something that happened in a map: `kind` LOOP_CLOSURE, OPERATION or MAP_VERSION, with it as it stands by now.
 
     FORGOTTEN says that earlier events were asked for and are no longer kept: list again what is of interest.
@@ -768,21 +501,9 @@ class Event:
     operation: Operation | None = None
     map_version: MapVersion | None = None
 
-    @classmethod
-    def of(cls, message: event_pb2.Event) -> Self:
-        """From its message."""
-        return cls(
-            number=message.number,
-            kind=_word(message, "kind"),
-            map=message.map,
-            loop_closure=LoopClosure.of(message.loop_closure) if message.HasField("loop_closure") else None,
-            operation=Operation.of(message.operation) if message.HasField("operation") else None,
-            map_version=MapVersion.of(message.map_version) if message.HasField("map_version") else None,
-        )
-
 
 @dataclass(frozen=True)
-class Webhook:
+class Webhook(Resource):
     """Where events are sent; `secret` is there in the answer that created it, and nowhere else.
 
     `told` is the number of the last event that was dealt with, `failures` counts attempts in vain since then; `state`
@@ -796,25 +517,11 @@ class Webhook:
     state: str
     told: int
     failures: int
-    secret: str = field(default="", repr=False, compare=False)
-
-    @classmethod
-    def of(cls, message: webhook_pb2.Webhook, secret: str = "") -> Self:
-        """From its message."""
-        return cls(
-            name=message.name,
-            url=message.url,
-            map=message.map or None,
-            kinds=tuple(event_pb2.Event.Kind.Name(kind) for kind in message.kinds),
-            state=_word(message, "state"),
-            told=message.told,
-            failures=message.failures,
-            secret=secret,
-        )
+    secret: str = field(default="", compare=False, repr=False, metadata=read_by(lambda _message: ""))
 
 
 @dataclass(frozen=True)
-class WebhookDelivery:
+class WebhookDelivery(Resource):
     """One attempt to deliver events: the HTTP status of the answer, or None and the `error`."""
 
     first_event: int
@@ -826,15 +533,9 @@ class WebhookDelivery:
     took_ms: int
     at_ns: int
 
-    @classmethod
-    def of(cls, message: webhook_pb2.WebhookDelivery) -> Self:
-        """From its message."""
-        values = {item.name: getattr(message, item.name) for item in fields(cls)}
-        return cls(**{**values, "status": message.status or None, "error": message.error or None})
-
 
 @dataclass(frozen=True)
-class Status:
+class Status(Resource):
     """What the service is doing."""
 
     version: str
@@ -843,61 +544,6 @@ class Status:
     running_jobs: int
     failed_jobs: int
     indexed_submaps: int
-    workers: tuple[str, ...]
-
-    @classmethod
-    def of(cls, message: system_pb2.GetStatusResponse) -> Self:
-        """From its message."""
-        return cls(
-            version=message.version,
-            model_version=message.model_version or None,
-            queued_jobs=message.queued_jobs,
-            running_jobs=message.running_jobs,
-            failed_jobs=message.failed_jobs,
-            indexed_submaps=message.indexed_submaps,
-            workers=tuple(worker.worker_id for worker in message.workers),
-        )
-
-
-def _word(message: Any, name: str) -> str:
-    """The name of an enum's value."""
-    values = message.DESCRIPTOR.fields_by_name[name].enum_type.values_by_number
-    number = getattr(message, name)
-    return str(values[number].name) if number in values else str(number)
-
-
-def _optional(message: Any, name: str) -> Any:
-    return getattr(message, name) if message.HasField(name) else None
-
-
-def _json(message: Any, name: str) -> Json | None:
-    return MessageToDict(getattr(message, name)) if message.HasField(name) else None
-
-
-def _optional_matrix(message: Any, name: str) -> Matrix4 | None:
-    return _matrix(getattr(message, name)) if message.HasField(name) else None
-
-
-def _map_pose(message: Any, name: str) -> MapPose | None:
-    T_map = _optional_matrix(message, name)
-    return None if T_map is None else MapPose(T_map, message.frame, message.map_version)
-
-
-def _covariance(message: Any) -> Matrix4:
-    if not message.covariance:
-        return np.full((6, 6), np.nan)
-    return np.array(message.covariance, dtype=np.float64).reshape(6, 6)
-
-
-def _matrix(message: geometry_pb2.Transform) -> Matrix4:
-    q = message.rotation
-    return se3.from_quaternion((q.x, q.y, q.z, q.w), _vector(message.translation))
-
-
-def _vector(message: geometry_pb2.Vector3) -> tuple[float, float, float]:
-    return message.x, message.y, message.z
-
-
-def _given(message: map_tile_pb2.MapDistance, name: str) -> float:
-    """A number, NaN where it is absent."""
-    return float(getattr(message, name)) if message.HasField(name) else float("nan")
+    workers: tuple[str, ...] = field(
+        metadata=read_by(lambda message: tuple(worker.worker_id for worker in message.workers))
+    )

@@ -22,7 +22,7 @@ from revisit.sdk.http_calls import HttpCalls
 from revisit.sdk.http_requests import HttpRequest, cloud_arguments, http_request, pose_text
 from revisit.sdk.json_answers import message_of
 from revisit.sdk.messages import cloud_message
-from revisit.sdk.resources import Json
+from revisit.sdk.reading import Json
 from revisit.sdk.retry import RetryPolicy
 from revisit.sdk.transport import SILENT_S, Forgetful, Refusal, StreamJournal, listed
 from revisit.v1 import event_pb2, geometry_pb2, ingest_pb2, map_pb2, mapping_pb2, session_pb2

@@ -23,7 +23,7 @@ from revisit.core.errors import RevisitError
 from revisit.sdk.clouds import Cloud
 from revisit.sdk.errors import ApiError, ErrorDetails, Unavailable, closed, error_of, unreachable
 from revisit.sdk.grpc_answers import Answers, LostCall
-from revisit.sdk.resources import Json
+from revisit.sdk.reading import Json
 from revisit.sdk.retry import RetryPolicy
 from revisit.sdk.transport import Forgetful, Refusal, StreamJournal
 from revisit.v1 import cloud_pb2, ingest_pb2

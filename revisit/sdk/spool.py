@@ -20,7 +20,7 @@ from pathlib import Path
 
 from revisit.core.errors import ErrorCode, RevisitError
 from revisit.sdk.clouds import Cloud
-from revisit.sdk.resources import Json
+from revisit.sdk.reading import Json
 from revisit.sdk.transport import OnDelay
 
 DEFAULT_MAX_BYTES = 4 * 2**30

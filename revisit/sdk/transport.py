@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 from revisit.sdk.clouds import Cloud
-from revisit.sdk.resources import Json
+from revisit.sdk.reading import Json
 from revisit.v1 import event_pb2, mapping_pb2
 
 SILENT_S = 45.0

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import builtins
 from collections.abc import Sequence
+from dataclasses import replace
 
 from revisit.sdk import names
 from revisit.sdk.groups.group import Group
@@ -21,7 +22,7 @@ class Webhooks(Group):
         """
         of_map = None if map_ is None else name_of(map_, names.MAP)
         created = self._ask("CreateWebhook", webhook_id=webhook_id, url=url, map=of_map, kinds=[*kinds])
-        return Webhook.of(created.webhook, created.secret)
+        return replace(Webhook.of(created.webhook), secret=created.secret)
 
     def get(self, name: str) -> Webhook:
         """Get `webhooks/{webhook}`."""
