@@ -2,6 +2,7 @@
 
     client = Client()                                # REST on http://127.0.0.1:8080
     client = Client.grpc("127.0.0.1:8090")           # the same calls over gRPC
+    client = AsyncClient()                           # the same calls, each awaited
 
 Errors are `revisit.sdk.errors.ApiError`; transforms are (4, 4) matrices named T_target_source; lengths are metres.
 """
@@ -11,15 +12,17 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from revisit.sdk.async_client import AsyncClient as AsyncClient
     from revisit.sdk.client import Client as Client
     from revisit.sdk.clouds import Cloud as Cloud
     from revisit.sdk.errors import ApiError as ApiError
     from revisit.sdk.input_watch import SuspiciousInput as SuspiciousInput
 
-__all__ = ["ApiError", "Client", "Cloud", "SuspiciousInput"]
+__all__ = ["ApiError", "AsyncClient", "Client", "Cloud", "SuspiciousInput"]
 
 _HOMES = {
     "ApiError": "revisit.sdk.errors",
+    "AsyncClient": "revisit.sdk.async_client",
     "Client": "revisit.sdk.client",
     "Cloud": "revisit.sdk.clouds",
     "SuspiciousInput": "revisit.sdk.input_watch",

@@ -4,6 +4,7 @@ proto        revisit/v1/*_pb2*         out of proto/revisit/v1
 parameters   docs/reference/parameters.md   out of core/config.py
 openapi      docs/reference/openapi.json    out of service.rest, and service/web/docs.html out of it
 references   docs/reference/{errors,settings,cli,rest-and-grpc}.md   out of the code they describe
+async        revisit/sdk/async_client.pyi   out of the groups of calls of the SDK
 decisions    docs/decisions/README.md   out of the decisions' own lines
 """
 
@@ -89,6 +90,13 @@ def write_references(out: Path) -> None:
         _write(out / f"docs/reference/{name}.md", page())
 
 
+def write_async_stub(out: Path) -> None:
+    """Write the types of the asynchronous client under `out`."""
+    from scripts import async_stub
+
+    _write(out / async_stub.PATH, async_stub.stub())
+
+
 def write_decisions(out: Path) -> None:
     """Write the index of the decisions under `out`."""
     from scripts import decisions
@@ -101,6 +109,7 @@ GENERATORS: dict[str, Callable[[Path], None]] = {
     "parameters": write_parameters,
     "openapi": write_openapi,
     "references": write_references,
+    "async": write_async_stub,
     "decisions": write_decisions,
 }
 

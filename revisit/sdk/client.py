@@ -16,6 +16,7 @@ from revisit.sdk.credentials import Credentials
 from revisit.sdk.errors import ErrorDetails, InvalidArgument
 from revisit.sdk.explanations import NearMiss, explain
 from revisit.sdk.groups.files import Files
+from revisit.sdk.groups.group import Group
 from revisit.sdk.groups.loops import Loops
 from revisit.sdk.groups.maps import Maps
 from revisit.sdk.groups.operations import Operations
@@ -86,7 +87,14 @@ class Client:
         self.files = Files(transport, retry)
         self.operations = Operations(transport)
         self.webhooks = Webhooks(transport)
-        self._name_calls()
+        self._name_catalogue_calls()
+        self._name_map_calls()
+        self._name_other_calls()
+
+    @property
+    def groups(self) -> dict[str, Group]:
+        """The groups of calls by name."""
+        return {name: group for name, group in vars(self).items() if isinstance(group, Group)}
 
     @classmethod
     def grpc(
@@ -106,8 +114,8 @@ class Client:
         address = address or os.environ.get("REVISIT_GRPC", DEFAULT_GRPC)
         return cls(transport=GrpcTransport(address, retry, Credentials.given(api_key, ca)), retry=retry)
 
-    def _name_calls(self) -> None:
-        """The same calls by one name each, as programs of before there were groups write them."""
+    def _name_catalogue_calls(self) -> None:
+        """Maps, robots, sessions and submaps, as programs of before there were groups name the calls."""
         self.create_map = self.maps.create
         self.get_map = self.maps.get
         self.list_maps = self.maps.list
@@ -131,6 +139,9 @@ class Client:
         self.download = self.submaps.download
         self.search = self.submaps.search
         self.localize = self.submaps.localize
+
+    def _name_map_calls(self) -> None:
+        """As `_name_catalogue_calls`: loop closures, versions and files of maps."""
         self.loop_closures = self.loops.list
         self.get_loop_closure = self.loops.get
         self.create_loop_closure = self.loops.create
@@ -151,6 +162,9 @@ class Client:
         self.get_map_file = self.files.get
         self.enable_map_file = self.files.enable
         self.download_map_file = self.files.download
+
+    def _name_other_calls(self) -> None:
+        """As `_name_catalogue_calls`: operations and webhooks."""
         self.get_operation = self.operations.get
         self.list_operations = self.operations.list
         self.retry_operation = self.operations.retry

@@ -36,7 +36,7 @@ class Resource:
     @classmethod
     def of(cls, message: Any) -> Self:
         """From its message."""
-        return cls(**{name: read(message) for name, read in _readers(cls)})
+        return cls(**{name: read(message) for name, read in _readers(cast(Any, cls))})
 
 
 def read_by(read: Read) -> Mapping[str, Read]:

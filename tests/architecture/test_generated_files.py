@@ -12,7 +12,7 @@ import pytest
 ROOT = Path(__file__).resolve().parents[2]
 
 
-@pytest.mark.parametrize("name", ["proto", "openapi", "parameters", "references", "decisions"])
+@pytest.mark.parametrize("name", ["proto", "openapi", "parameters", "references", "async", "decisions"])
 def test_a_generated_file_is_up_to_date(name):
     differences = runpy.run_path(str(ROOT / "scripts" / "generated_files.py"))["differences"]
     assert differences([name]) == []

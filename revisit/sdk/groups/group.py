@@ -3,23 +3,15 @@
 from __future__ import annotations
 
 import builtins
-from typing import Any, Protocol, Self, TypeVar
+from typing import Any, TypeVar
 
 from revisit.api.calls import CALLS
 from revisit.sdk.messages import request_of
+from revisit.sdk.reading import Resource
 from revisit.sdk.transport import Transport, listed
 
 MAX_PAGE = 500
 """The longest page that the service gives, for lists of short items."""
-
-
-class Resource(Protocol):
-    """A class of `revisit.sdk.resources`."""
-
-    @classmethod
-    def of(cls, message: Any) -> Self:
-        """From its message."""
-        ...
 
 
 R = TypeVar("R", bound=Resource)
