@@ -267,6 +267,13 @@ class Client:
         """What the service is doing."""
         return Status.of(self._transport.call("GetStatus", system_pb2.GetStatusRequest()))
 
+    def call(self, name: str, **fields: Any) -> Any:
+        """Make any call of the service by the name of its RPC and the fields of its request; the message of the answer.
+
+        The groups have a method for each; this is for a call that is newer than they.
+        """
+        return self._transport.call(name, request_of(CALLS[name].request, fields))
+
     def close(self) -> None:
         """Let go of the connections."""
         self._transport.close()

@@ -8,6 +8,7 @@ from dataclasses import fields
 from revisit.service.calls.operations import failure_fields
 from revisit.service.domain.identity import TenantId
 from revisit.service.domain.loop_policy import LoopPolicy
+from revisit.service.domain.records import SessionDetails
 from revisit.service.features.catalogue.maps import CreateMap, MapView
 from revisit.service.features.catalogue.robots import CreateRobot, RobotView
 from revisit.service.features.catalogue.sessions import CreateSession, SessionView
@@ -65,7 +66,8 @@ async def create_session(cases: UseCases, tenant: TenantId, request: session_pb2
     """A new session."""
     robot_id = names.robot_id(request.robot, "robot") if request.robot else None
     map_id = names.map_id(request.parent, "parent")
-    command = CreateSession(map_id, request.session_id, robot_id, request.storey or None)
+    details = {name: value or None for name, value in SessionDetails.of(request).items()}
+    command = CreateSession(map_id, request.session_id, robot_id, **details)
     created = await cases.sessions.create(tenant, command)
     return {"session": session_fields(created.session), "replay": created.replay}
 

@@ -75,14 +75,14 @@ def validated_label(value: str, field: str) -> str:
     return value
 
 
-def validated_storey(value: str | None) -> str | None:
-    """`value` if it can name a storey: 1 to 64 printable characters, no blank before or behind; None where unknown.
+def validated_detail(value: str | None, field: str) -> str | None:
+    """`value` if it can be a detail of a session, as its storey: 1 to 64 printable characters, no blank at either end.
 
-    Storeys are equal where their names are, letter for letter. Raises BadField.
+    None where nobody said it. Two are equal letter for letter. Raises BadField naming `field`.
     """
     most = limits.STOREY_CHARACTERS
     if value is not None and not (0 < len(value) <= most and value.isprintable() and value == value.strip()):
-        raise BadField(f"storey must be 1 to {most} printable characters, no blank before or behind", field="storey")
+        raise BadField(f"{field} must be 1 to {most} printable characters, no blank before or behind", field=field)
     return value
 
 

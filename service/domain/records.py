@@ -6,7 +6,7 @@ so they order lists, page them and stand for a record in the vector index. Poses
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any
 
 from revisit.service.domain.identity import TenantId
@@ -70,13 +70,25 @@ class RobotRecord:
     number: int = 0
 
 
+@dataclass(frozen=True, kw_only=True)
+class SessionDetails:
+    """What a client may say of a session when it creates it, in its own words; None where it did not. It never changes.
+
+    `storey` is the level of a building that all of the session is driven on, as B2. A new detail is a field here and in
+    `SessionRecord`, and a column of its name.
+    """
+
+    storey: str | None = None
+
+    @classmethod
+    def of(cls, source: Any) -> dict[str, Any]:
+        """The details by name, of anything that has attributes of these names."""
+        return {detail.name: getattr(source, detail.name) for detail in fields(SessionDetails)}
+
+
 @dataclass(frozen=True)
 class SessionRecord:
-    """A session and where its current window of scans stands (see `ingest.scans`).
-
-    `storey` is the level of a building that it was driven on, in the client's words; None where nobody said. It never
-    changes.
-    """
+    """A session, its details, and where its current window of scans stands (see `ingest.scans`)."""
 
     tenant: TenantId
     map_id: str

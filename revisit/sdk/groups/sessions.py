@@ -15,18 +15,24 @@ class Sessions(Group):
     """`client.sessions`."""
 
     def create(
-        self, map_: str | Map, session_id: str, *, robot: str | Robot | None = None, storey: str | None = None
+        self,
+        map_: str | Map,
+        session_id: str,
+        *,
+        robot: str | Robot | None = None,
+        storey: str | None = None,
+        **details: str | None,
     ) -> Session:
         """Create a session in a map.
 
         `storey` is the storey of a building that all of it is driven on, as B2: it is never compared with sessions on
-        storeys of another name. Without it, it is compared with all.
+        storeys of another name. Without it, it is compared with all. `details` are other fields of a
+        CreateSessionRequest.
         """
         of_robot = None if robot is None else name_of(robot, names.ROBOT)
         parent = name_of(map_, names.MAP)
-        return Session.of(
-            self._ask("CreateSession", parent=parent, session_id=session_id, robot=of_robot, storey=storey)
-        )
+        said = {"robot": of_robot, "storey": storey, **details}
+        return Session.of(self._ask("CreateSession", parent=parent, session_id=session_id, **said))
 
     def get(self, name: str) -> Session:
         """Get `maps/{map}/sessions/{session}`."""

@@ -6,6 +6,7 @@ a number is never given out twice, and which rows an index holds (`info["where"]
 
 from __future__ import annotations
 
+from dataclasses import fields
 from typing import Any
 
 from sqlalchemy import (
@@ -27,6 +28,7 @@ from sqlalchemy import (
 )
 from sqlalchemy.types import TypeDecorator
 
+from revisit.service.domain.records import SessionDetails
 from revisit.service.engines.sql.packed_columns import PackedEvidence, PackedPose
 
 NAMING = {
@@ -135,7 +137,7 @@ sessions = _numbered(
     _real("emitted_to_m", nullable=True),
     _integer("created_at_ns"),
     _integer("finished_at_ns", nullable=True),
-    _text("storey", nullable=True),
+    *(_text(detail.name, nullable=True) for detail in fields(SessionDetails)),
     ForeignKeyConstraint(["tenant", "map_id"], ["maps.tenant", "maps.map_id"]),
     ForeignKeyConstraint(["tenant", "robot_id"], ["robots.tenant", "robots.robot_id"]),
     Index(None, "tenant", "map_id", "storey"),

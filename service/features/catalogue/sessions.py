@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import Any
 
 from revisit.core.sanity.finding import LIKELY_CAUSES
 from revisit.service.capacity.admission import Admission
@@ -12,11 +13,11 @@ from revisit.service.domain.identity import (
     SessionKey,
     TenantId,
     content_hash,
+    validated_detail,
     validated_id,
-    validated_storey,
 )
 from revisit.service.domain.policy import Policy
-from revisit.service.domain.records import SessionRecord
+from revisit.service.domain.records import SessionDetails, SessionRecord
 from revisit.service.domain.states import SessionState
 from revisit.service.failpoints import failpoint
 from revisit.service.features.audit import calls as audit
@@ -42,24 +43,30 @@ from revisit.service.ports.transactions import UnitOfWork
 
 
 @dataclass(frozen=True)
-class CreateSession:
-    """A new session in a map; `robot_id` is None or an existing robot.
-
-    `storey` is the level of the building that all of it is driven on, as B2; None where that is unknown.
-    """
+class CreateSession(SessionDetails):
+    """A new session in a map; `robot_id` is None or an existing robot."""
 
     map_id: str
     session_id: str
     robot_id: str | None = None
-    storey: str | None = None
+
+    def content(self) -> list[str | None]:
+        """What makes another session of it: robot and details, the storey without its name."""
+        details = {name: value for name, value in self.validated().items() if value is not None}
+        # Sessions of before there were storeys have the hash of their robot alone.
+        storey = [details.pop("storey")] if "storey" in details else []
+        return [self.robot_id, *storey, *(f"{name}={value}" for name, value in details.items())]
+
+    def validated(self) -> dict[str, Any]:
+        """The details by name. Raises BadField."""
+        return {name: validated_detail(value, name) for name, value in SessionDetails.of(self).items()}
 
 
 @dataclass(frozen=True)
-class SessionView:
+class SessionView(SessionDetails):
     """A session as clients see it.
 
     `committed_seq` is the last scan stored durably, 0 for none; `committed_stamp_ns` is when that one was taken.
-    `storey` is None where nobody said it.
     `findings` are those of its submaps so far, the most frequent first, then those that the version of the map in force
     has of its odometry. `no_loops` says why a finished session has no loop. Neither is in lists of sessions.
     """
@@ -73,7 +80,6 @@ class SessionView:
     created_at_ns: int
     finished_at_ns: int | None
     committed_stamp_ns: int | None
-    storey: str | None = None
     findings: tuple[SessionFinding, ...] = ()
     no_loops: NoLoops | None = None
 
@@ -179,13 +185,11 @@ class Sessions:
         return replace(_view(uow, record), findings=(*of_submaps, *odometry_findings(uow, record)), no_loops=why)
 
     def _record(self, tenant: TenantId, command: CreateSession) -> SessionRecord:
-        storey = validated_storey(command.storey)
         return SessionRecord(
             tenant=tenant,
             map_id=command.map_id,
             session_id=validated_id(command.session_id, "session_id"),
-            # Sessions of before there were storeys have the hash of their robot alone.
-            content_hash=content_hash([command.robot_id, *([] if storey is None else [storey])]),
+            content_hash=content_hash(command.content()),
             robot_id=command.robot_id,
             state=SessionState.ACTIVE.value,
             committed_seq=0,
@@ -196,7 +200,7 @@ class Sessions:
             emitted_to_m=None,
             created_at_ns=self._clock.wall_ns(),
             finished_at_ns=None,
-            storey=storey,
+            **command.validated(),
         )
 
 
@@ -236,5 +240,5 @@ def _view(uow: UnitOfWork, record: SessionRecord) -> SessionView:
         created_at_ns=record.created_at_ns,
         finished_at_ns=record.finished_at_ns,
         committed_stamp_ns=None if last is None else last.stamp_ns,
-        storey=record.storey,
+        **SessionDetails.of(record),
     )

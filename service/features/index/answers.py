@@ -8,7 +8,7 @@ from typing import Any
 from revisit.core.errors import BadField
 from revisit.core.geometry.se3 import Matrix4, pose_matrix, pose_row
 from revisit.service.domain import limits
-from revisit.service.domain.identity import SessionKey, SubmapKey, validated_storey
+from revisit.service.domain.identity import SessionKey, SubmapKey, validated_detail
 from revisit.service.features.graph.map_frames import MapPose
 
 
@@ -98,7 +98,7 @@ def validated_criteria(criteria: SearchCriteria) -> SearchCriteria:
         limits.PRIOR_COORDINATE_M.validated(coordinate, "prior_position_m")
     if criteria.min_similarity is not None:
         limits.MIN_SIMILARITY.validated(criteria.min_similarity, "min_similarity")
-    validated_storey(criteria.storey)
+    validated_detail(criteria.storey, "storey")
     if criteria.leave_distance_m is not None:
         limits.LEAVE_DISTANCE_M.validated(criteria.leave_distance_m, "leave_distance_m")
     return criteria

@@ -20,7 +20,7 @@ if TYPE_CHECKING:  # imported where something is migrated: a worker only asks fo
 
 MIGRATIONS = Path(__file__).resolve().parents[4] / "migrations"
 
-NEWEST_REVISION = "0024"
+NEWEST_REVISION = max(step.name[:4] for step in (MIGRATIONS / "versions").glob("[0-9]*.py"))
 """What this version brings a database to: the head of `migrations`. A start that finds it has nothing to read there."""
 
 
