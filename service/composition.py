@@ -89,8 +89,14 @@ def build_context(settings: Settings, *, gateway: bool, fail_stop: FailStop | No
         settings.capacity, current_actor, note_refused=lambda tenant, client: pace.note_refused(tenant, client)
     )
     pace = CallPace(others_wait=in_flight.others_wait)
+    clock = SystemClock()
     transactions = SqliteTransactions(
-        settings.database, checkpoints=gateway, lease_ms=policy.lease_ms, fail_stop=switch, on_full=disk.release
+        settings.database,
+        checkpoints=gateway,
+        lease_ms=policy.lease_ms,
+        clock=clock,
+        fail_stop=switch,
+        on_full=disk.release,
     )
     return ServiceContext(
         transactions=transactions,
@@ -98,7 +104,7 @@ def build_context(settings: Settings, *, gateway: bool, fail_stop: FailStop | No
         index=PlaceVectorIndex(
             _new_index, IndexFiles(settings.home / INDEX_FILES), saved_from=SAVED_FROM if gateway else None
         ),
-        clock=SystemClock(),
+        clock=clock,
         policy=policy,
         in_flight=in_flight,
         pace=pace,
@@ -247,9 +253,8 @@ def run_worker(settings: Settings, worker_id: str | None, parent_pid: int | None
 def worker_seen(settings: Settings, worker_id: str) -> bool:
     """Whether the worker has shown itself in the database lately."""
     context = build_context(settings, gateway=False)
-    now = context.clock.instant()
     try:
-        alive = context.transactions.read(lambda uow: uow.workers.alive(now.epoch, now.ms - WORKER_SEEN_WITHIN_MS))
+        alive = context.transactions.read(lambda uow: uow.workers.alive(WORKER_SEEN_WITHIN_MS))
         return any(worker.worker_id == worker_id for worker in alive.result())
     finally:
         context.transactions.close()

@@ -121,7 +121,7 @@ class _Gateway:
     def _supervisor(self, context: ServiceContext) -> WorkerSupervisor:
         """The supervisor of the workers; the metrics of this process and of them."""
         registry, lease_ms = self._requests.registry, context.policy.lease_ms
-        supervisor = WorkerSupervisor(context.storage, context.clock, lease_ms, self._settings.workers)
+        supervisor = WorkerSupervisor(context.storage, lease_ms, self._settings.workers)
         registry.register(WorkerMetrics(supervisor))
         ProcessCollector(namespace="revisit", registry=registry)
         return supervisor

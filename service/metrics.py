@@ -100,7 +100,6 @@ class StoreMetrics(Collector):
             yield family
 
     def _count(self, uow: UnitOfWork) -> dict[str, tuple[str, str, dict[str, int]]]:
-        now = self._installation.clock.instant()
         tables: dict[str, tuple[str, Repository[Any], type[StrEnum]]] = {
             "revisit_jobs": ("Jobs by state.", uow.jobs, OperationState),
             "revisit_submaps": ("Submaps by state.", uow.submaps, SubmapState),
@@ -110,7 +109,7 @@ class StoreMetrics(Collector):
             name: (text, "state", {state.value: table.count_of_all_tenants(state=state.value) for state in states})
             for name, (text, table, states) in tables.items()
         }
-        alive = uow.workers.alive(now.epoch, now.ms - WORKER_SEEN_WITHIN_MS)
+        alive = uow.workers.alive(WORKER_SEEN_WITHIN_MS)
         oldest_ns, now_ns = uow.jobs.oldest_queued_ns(), self._installation.clock.wall_ns()
         waits_s = 0 if oldest_ns is None else max(0, now_ns - oldest_ns) // 10**9
         return {

@@ -119,7 +119,7 @@ class UseCases:
             corrections=Corrections(storage, admission, glance),
             loop_decisions=LoopDecisions(storage, admission, lists, jobs, clock, policy),
             dead_letters=DeadLetters(storage, admission, backlog, policy),
-            system=System(storage, admission, of.disk, of.index_health, clock, version),
+            system=System(storage, admission, of.disk, of.index_health, version),
             admission=admission,
             access=Access(storage, audit, clock, rules, of.pace),
             keys=ApiKeys(storage, clock),

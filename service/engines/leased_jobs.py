@@ -7,14 +7,15 @@ higher fencing token, and what the first one still reports is refused. A job wit
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
+from typing import Any, Protocol
 
 from revisit.core.errors import ErrorCode
 from revisit.service.domain.errors import StaleLease
+from revisit.service.domain.identity import TenantId
 from revisit.service.domain.records import JobRecord
 from revisit.service.domain.states import OperationState
 from revisit.service.engines.fair_turns import FairTurns
-from revisit.service.ports.clock import Instant
+from revisit.service.ports.clock import Clock, Instant
 from revisit.service.ports.job_queue import Lease
 from revisit.service.ports.repositories import JobRepository
 
@@ -28,25 +29,47 @@ STARTED_AGAIN = "the service was ended"
 """Why a run did not come back that was under way then."""
 
 
-class LeasedJobs:
-    """`JobQueue` over a `JobRepository`, inside whatever transaction that belongs to."""
+class LeasableJobs(JobRepository, Protocol):
+    """Jobs with their leases, across tenants."""
 
-    def __init__(self, jobs: JobRepository, turns: FairTurns, lease_ms: int) -> None:
+    def next_runnable(self, now: Instant, tenant: TenantId) -> JobRecord | None:
+        """A job that is queued and due, or whose lease has run out with attempts left: the most urgent, then oldest."""
+        ...
+
+    def exhausted(self, now: Instant) -> list[JobRecord]:
+        """Jobs running on a lease that has run out, with no attempts left."""
+        ...
+
+    def leased_to(self, owner: str | None) -> list[JobRecord]:
+        """The running jobs of a worker, or of all."""
+        ...
+
+
+class LeasedJobs:
+    """`JobQueue` over `LeasableJobs`, inside whatever transaction these belong to."""
+
+    def __init__(self, jobs: LeasableJobs, turns: FairTurns, lease_ms: int, clock: Clock) -> None:
         """A lease lasts `lease_ms` milliseconds from its start or its last heartbeat; `turns` orders the tenants."""
         self._jobs = jobs
+        self._clock = clock
         self._turns = turns
         self._lease_ms = lease_ms
 
-    def enqueue(self, job: JobRecord) -> JobRecord:
+    def enqueue(self, job: JobRecord, *, delay_ms: int = 0) -> JobRecord:
         """See `JobQueue`."""
+        if delay_ms:
+            now = self._clock.instant()
+            job = replace(job, lease_epoch=now.epoch, not_before_ms=now.ms + delay_ms)
         return self._jobs.add(job)
 
-    def waits(self, now: Instant) -> bool:
+    def waits(self) -> bool:
         """See `JobQueue`."""
+        now = self._clock.instant()
         return self._next(now) is not None or bool(self._jobs.exhausted(now))
 
-    def claim(self, owner: str, now: Instant) -> Lease | None:
+    def claim(self, owner: str) -> Lease | None:
         """See `JobQueue`."""
+        now = self._clock.instant()
         job = self._next(now)
         if job is None:
             return None
@@ -71,9 +94,9 @@ class LeasedJobs:
         """See `JobQueue`."""
         self._held(lease)
 
-    def extend(self, lease: Lease, now: Instant) -> None:
+    def extend(self, lease: Lease) -> None:
         """See `JobQueue`."""
-        job = self._held(lease)
+        job, now = self._held(lease), self._clock.instant()
         self._jobs.replace(replace(job, lease_epoch=now.epoch, lease_expires_ms=now.ms + self._lease_ms))
 
     def report(self, lease: Lease, progress: dict[str, Any]) -> bool:
@@ -82,37 +105,28 @@ class LeasedJobs:
         self._jobs.replace(replace(job, progress=progress))
         return not job.cancel_requested
 
-    def complete(self, lease: Lease, result: dict[str, Any], now: Instant, finished_at_ns: int) -> None:
+    def complete(self, lease: Lease, result: dict[str, Any]) -> None:
         """See `JobQueue`."""
         job = self._held(lease)
-        self._turns.end(job.tenant, _ran_ms(job, now))
-        done = OperationState.DONE.value
-        self._jobs.replace(replace(job, state=done, result=result, failure_message=None, finished_at_ns=finished_at_ns))
+        self._turns.end(job.tenant, _ran_ms(job, self._clock.instant()))
+        done, ended_ns = OperationState.DONE.value, self._clock.wall_ns()
+        self._jobs.replace(replace(job, state=done, result=result, failure_message=None, finished_at_ns=ended_ns))
 
-    def fail(
-        self,
-        lease: Lease,
-        code: str,
-        message: str,
-        now: Instant,
-        finished_at_ns: int,
-        *,
-        retry: bool,
-        innocent: bool = False,
-    ) -> bool:
+    def fail(self, lease: Lease, code: str, message: str, *, retry: bool, innocent: bool = False) -> bool:
         """See `JobQueue`."""
-        held = self._held(lease)
+        held, now = self._held(lease), self._clock.instant()
         job = _forgiven(held) if innocent else held
         self._turns.end(job.tenant, _ran_ms(job, now))
         if retry and job.counted_attempts < job.max_attempts:
             self._jobs.replace(_queued_again(job, now))
             return False
-        self._jobs.replace(_failed(job, code, message, finished_at_ns))
+        self._jobs.replace(_failed(job, code, message, self._clock.wall_ns()))
         return True
 
-    def fail_exhausted_jobs(self, now: Instant, finished_at_ns: int) -> list[JobRecord]:
+    def fail_exhausted_jobs(self) -> list[JobRecord]:
         """See `JobQueue`."""
-        dead = [_failed(job, ErrorCode.INTERNAL, _last_end(job), finished_at_ns) for job in self._jobs.exhausted(now)]
+        now, ended_ns = self._clock.instant(), self._clock.wall_ns()
+        dead = [_failed(job, ErrorCode.INTERNAL, _last_end(job), ended_ns) for job in self._jobs.exhausted(now)]
         for job in dead:
             # The runs of a worker that was released were paid for then.
             if job.lease_expires_ms:
@@ -120,9 +134,9 @@ class LeasedJobs:
             self._jobs.replace(job)
         return dead
 
-    def release(self, owner: str, now: Instant, reason: str, *, innocent: bool = False) -> int:
+    def release(self, owner: str, reason: str, *, innocent: bool = False) -> int:
         """See `JobQueue`."""
-        held = self._jobs.leased_to(owner)
+        held, now = self._jobs.leased_to(owner), self._clock.instant()
         for job in held:
             self._turns.end(job.tenant, _ran_ms(job, now))
             # One that the service forgave at its start is not forgiven twice.

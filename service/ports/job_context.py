@@ -23,5 +23,4 @@ class JobContext:
 
     def complete(self, lease: Lease, result: dict[str, Any]) -> None:
         """End a job well, in a transaction of its own. Raises StaleLease where another worker holds it."""
-        now, now_ns = self.clock.instant(), self.clock.wall_ns()
-        self.transactions.write(lambda uow: uow.queue.complete(lease, result, now, now_ns)).result()
+        self.transactions.write(lambda uow: uow.queue.complete(lease, result)).result()

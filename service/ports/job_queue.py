@@ -1,4 +1,4 @@
-"""The job queue, its leases, and the workers that hold them."""
+"""The job queue, its leases, and the workers that hold them. All times are of the store's own clock."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ from typing import Any, Protocol
 
 from revisit.service.domain.identity import TenantId
 from revisit.service.domain.records import JobRecord, TurnRecord, WorkerRecord
-from revisit.service.ports.clock import Instant
 
 CANCELLED = {"outcome": "the operation was cancelled"}
 """The result of a job that somebody cancelled: it changed nothing."""
@@ -23,7 +22,7 @@ class Lease:
 class LeasedRuns(Protocol):
     """What a worker does with one job: lease it, keep the lease, report its end."""
 
-    def claim(self, owner: str, now: Instant) -> Lease | None:
+    def claim(self, owner: str) -> Lease | None:
         """Lease the next runnable job, of the tenant whose turn it is, to `owner`; the attempt is counted before."""
         ...
 
@@ -31,25 +30,15 @@ class LeasedRuns(Protocol):
         """Raises StaleLease where another worker holds the job by now."""
         ...
 
-    def extend(self, lease: Lease, now: Instant) -> None:
+    def extend(self, lease: Lease) -> None:
         """Keep the lease. Raises StaleLease where another worker holds the job by now."""
         ...
 
-    def complete(self, lease: Lease, result: dict[str, Any], now: Instant, finished_at_ns: int) -> None:
+    def complete(self, lease: Lease, result: dict[str, Any]) -> None:
         """End the job well. Raises StaleLease."""
         ...
 
-    def fail(
-        self,
-        lease: Lease,
-        code: str,
-        message: str,
-        now: Instant,
-        finished_at_ns: int,
-        *,
-        retry: bool,
-        innocent: bool = False,
-    ) -> bool:
+    def fail(self, lease: Lease, code: str, message: str, *, retry: bool, innocent: bool = False) -> bool:
         """Count a failed run: back to the queue while `retry` and attempts are left. Whether it failed for good.
 
         `innocent`: the job had no part in it, so the run does not count against it, up to a bound.
@@ -60,11 +49,11 @@ class LeasedRuns(Protocol):
 class LostRuns(Protocol):
     """Runs that ended with their worker."""
 
-    def fail_exhausted_jobs(self, now: Instant, finished_at_ns: int) -> list[JobRecord]:
+    def fail_exhausted_jobs(self) -> list[JobRecord]:
         """Fail the jobs whose lease has run out with no attempts left; returns them."""
         ...
 
-    def release(self, owner: str, now: Instant, reason: str, *, innocent: bool = False) -> int:
+    def release(self, owner: str, reason: str, *, innocent: bool = False) -> int:
         """End the runs of a worker that died of `reason`, without waiting for its leases to run out; how many.
 
         `innocent`: the job had no part in it, so the run does not count against it, up to a bound.
@@ -90,11 +79,11 @@ class ReportedRuns(Protocol):
 class JobQueue(LeasedRuns, LostRuns, ReportedRuns, Protocol):
     """Jobs in the same transaction as the rows they belong to; at least one run, at most one effect."""
 
-    def enqueue(self, job: JobRecord) -> JobRecord:
-        """Queue a job."""
+    def enqueue(self, job: JobRecord, *, delay_ms: int = 0) -> JobRecord:
+        """Queue a job, not to be run before `delay_ms` have passed."""
         ...
 
-    def waits(self, now: Instant) -> bool:
+    def waits(self) -> bool:
         """Whether there is something to claim."""
         ...
 
@@ -122,12 +111,12 @@ class TenantTurns(Protocol):
 class WorkerLog(Protocol):
     """Which worker processes live."""
 
-    def beat(self, worker: WorkerRecord) -> None:
+    def beat(self, worker_id: str, model_version: str) -> None:
         """The worker shows itself."""
         ...
 
-    def alive(self, epoch: str, since_ms: int) -> list[WorkerRecord]:
-        """Workers seen at or after `since_ms` of `epoch`, last seen first."""
+    def alive(self, within_ms: int) -> list[WorkerRecord]:
+        """Workers seen within the last `within_ms` milliseconds, last seen first."""
         ...
 
     def forget(self, worker_id: str) -> None:

@@ -8,7 +8,6 @@ from typing import Any, Protocol, TypeVar
 
 from revisit.service.domain.identity import TenantId
 from revisit.service.domain.records import JobRecord, LoopRecord, Pose, ScanRecord, SubmapRecord
-from revisit.service.ports.clock import Instant
 
 R = TypeVar("R")
 
@@ -205,19 +204,7 @@ class AwaitedJobs(Repository[JobRecord], Protocol):
 
 
 class JobRepository(AwaitedJobs, Protocol):
-    """Jobs, also across tenants for those who run them."""
-
-    def next_runnable(self, now: Instant, tenant: TenantId) -> JobRecord | None:
-        """A job that is queued and due, or whose lease has run out with attempts left: the most urgent, then oldest."""
-        ...
-
-    def exhausted(self, now: Instant) -> list[JobRecord]:
-        """Jobs running on a lease that has run out, with no attempts left."""
-        ...
-
-    def leased_to(self, owner: str | None) -> list[JobRecord]:
-        """The running jobs of a worker, or of all."""
-        ...
+    """Jobs, also across tenants for upkeep."""
 
     def forget_answers(self, before_ns: int, limit: int) -> int:
         """Delete the first `limit` queries (jobs of priority 0), of all tenants, that ended before then; how many."""

@@ -14,9 +14,7 @@ import structlog
 
 from revisit.core.errors import RevisitError
 from revisit.service.domain.errors import StaleLease
-from revisit.service.domain.records import WorkerRecord
 from revisit.service.features.operations.job_runner import JobRunner
-from revisit.service.ports.clock import Clock, Instant
 from revisit.service.ports.job_queue import Lease
 from revisit.service.ports.transactions import Transactions, UnitOfWork
 
@@ -60,7 +58,6 @@ class Heartbeat:
     def __init__(
         self,
         transactions: Transactions,
-        clock: Clock,
         lease_ms: int,
         jobs: JobRunner,
         identity: WorkerIdentity,
@@ -70,7 +67,6 @@ class Heartbeat:
         process ends.
         """
         self._transactions = transactions
-        self._clock = clock
         self._lease_ms = lease_ms
         self._jobs = jobs
         self._identity = identity
@@ -136,21 +132,20 @@ class Heartbeat:
     def _beat(self) -> None:
         """Show that the worker lives and keep its lease, in one transaction."""
         lease = self._lease
-        now = self._clock.instant()
-        kept = self._transactions.write(partial(self._show, lease=lease, now=now)).result()
+        kept = self._transactions.write(partial(self._show, lease=lease)).result()
         missing = None if kept else lease
         # Missing once, its job may have ended a moment ago.
         if missing is not None and missing is self._missing and missing is self._lease:
             log.warning("lease_lost", operation=missing.job.operation_id)
         self._missing = missing
 
-    def _show(self, uow: UnitOfWork, lease: Lease | None, now: Instant) -> bool:
+    def _show(self, uow: UnitOfWork, lease: Lease | None) -> bool:
         """Store the beat and extend the lease; whether the lease is still ours."""
         identity = self._identity
-        uow.workers.beat(WorkerRecord(identity.worker_id, identity.model_version, now.epoch, now.ms))
+        uow.workers.beat(identity.worker_id, identity.model_version)
         try:
             if lease is not None:
-                uow.queue.extend(lease, now)
+                uow.queue.extend(lease)
         except StaleLease:
             return False
         return True

@@ -50,7 +50,7 @@ class Worker:
         tracer: Tracer = NoTracer(),
     ) -> None:
         """`jobs` runs what is leased."""
-        self._claims = JobClaims(context.transactions, context.clock, context.disk, identity.worker_id)
+        self._claims = JobClaims(context.transactions, context.disk, identity.worker_id)
         self._jobs = jobs
         self._identity = identity
         self._stopping = stopping
@@ -59,7 +59,6 @@ class Worker:
         self._memory = FreeMemory()
         self._heartbeat = Heartbeat(
             context.transactions,
-            context.clock,
             context.policy.lease_ms,
             jobs,
             identity,

@@ -15,7 +15,6 @@ import structlog
 
 from revisit.service import ONE_THREAD, own_python
 from revisit.service.domain.errors import Unavailable
-from revisit.service.ports.clock import Clock, Instant
 from revisit.service.ports.storage import Storage
 from revisit.service.ports.transactions import UnitOfWork
 from revisit.service.worker.ends import WorkerEnd, end_of, is_innocent, out_of_memory_kills, reason_of
@@ -36,10 +35,9 @@ class WorkerSupervisor:
     `ends` counts how they ended.
     """
 
-    def __init__(self, storage: Storage, clock: Clock, lease_ms: int, count: int) -> None:
+    def __init__(self, storage: Storage, lease_ms: int, count: int) -> None:
         """Leases of a dead worker are released in `storage`."""
         self._storage = storage
-        self._clock = clock
         self._lease_ms = lease_ms
         self._tasks: list[asyncio.Task[None]] = []
         self._processes: set[Process] = set()
@@ -129,9 +127,8 @@ class WorkerSupervisor:
         _send(process, signal.SIGKILL)
 
     async def _shows_itself(self, worker_id: str, within_ms: int) -> bool:
-        now = self._clock.instant()
         try:
-            alive = await self._storage.read(lambda uow: uow.workers.alive(now.epoch, now.ms - within_ms))
+            alive = await self._storage.read(lambda uow: uow.workers.alive(within_ms))
         except Unavailable as error:
             # A database that does not answer says nothing about the worker.
             log.warning("worker_not_watched", worker=worker_id, reason=error.message)
@@ -139,7 +136,7 @@ class WorkerSupervisor:
         return any(worker.worker_id == worker_id for worker in alive)
 
     async def _release(self, worker_id: str, reason: str, *, innocent: bool) -> None:
-        release = partial(_release, worker_id=worker_id, now=self._clock.instant(), reason=reason, innocent=innocent)
+        release = partial(_release, worker_id=worker_id, reason=reason, innocent=innocent)
         try:
             released = await self._storage.write(release)
         except Unavailable as error:
@@ -155,10 +152,10 @@ def _send(process: Process, number: signal.Signals) -> None:
         process.send_signal(number)
 
 
-def _release(uow: UnitOfWork, worker_id: str, now: Instant, reason: str, *, innocent: bool) -> int:
+def _release(uow: UnitOfWork, worker_id: str, reason: str, *, innocent: bool) -> int:
     """Forget a dead worker; how many jobs it held."""
     uow.workers.forget(worker_id)
-    return uow.queue.release(worker_id, now, reason, innocent=innocent)
+    return uow.queue.release(worker_id, reason, innocent=innocent)
 
 
 def _environment() -> dict[str, str]:

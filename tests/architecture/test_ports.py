@@ -20,7 +20,7 @@ LARGER = {
     "UnitOfWork": 24,  # one property for each kind of record, and `everything`; no method
     "Repository": 15,  # any kind of record
     "SubmapRepository": 22,
-    "JobRepository": 21,
+    "JobRepository": 18,
     "ScanRepository": 18,
     "LoopRepository": 17,
     "AwaitedJobs": 16,

@@ -11,7 +11,7 @@ from sqlalchemy import event
 from sqlalchemy.dialects import postgresql
 from sqlalchemy.schema import CreateIndex, CreateTable
 
-from revisit.service.domain.records import TurnRecord, WorkerRecord
+from revisit.service.domain.records import TurnRecord
 from revisit.service.engines.sql import (
     access,
     blob_addresses,
@@ -81,8 +81,8 @@ CALLS = {
     "SqlChangeLog.record_removed": lambda uow: uow.changes.record_removed(TENANT, 1, [1, 2]),
     "SqlChangeLog.record_session_removed": lambda uow: uow.changes.record_session_removed(TENANT, 1, 1),
     "SqlChangeLog.since": lambda uow: uow.changes.since(TENANT, 1, 0, 5),
-    "SqlWorkerLog.beat": lambda uow: uow.workers.beat(WorkerRecord("w", "v", "boot", 1)),
-    "SqlWorkerLog.alive": lambda uow: uow.workers.alive("boot", 0),
+    "SqlWorkerLog.beat": lambda uow: uow.workers.beat("w", "v"),
+    "SqlWorkerLog.alive": lambda uow: uow.workers.alive(0),
     "SqlWorkerLog.forget": lambda uow: uow.workers.forget("w"),
     "SqlKeyRing.add": lambda uow: uow.keys.add(KEY),
     "SqlKeyRing.get": lambda uow: uow.keys.get("k1"),

@@ -8,19 +8,26 @@ from revisit.service.engines.local.sqlite.transactions import SqliteTransactions
 from tests.support.made_database import made_database
 from tests.support.memory.transactions import MemoryTransactions
 from tests.support.plain_engine import PlainTransactions
+from tests.support.stepped_clock import SteppedClock
+
+
+@pytest.fixture
+def clock():
+    """The clock of the store."""
+    return SteppedClock("boot", 0)
 
 
 @pytest.fixture(params=["memory", "sqlite", "plain"])
-def transactions(request, tmp_path):
+def transactions(request, tmp_path, clock):
     if request.param == "memory":
-        yield MemoryTransactions(lease_ms=10_000)
+        yield MemoryTransactions(10_000, clock)
         return
     if request.param == "plain":
-        store = PlainTransactions(lease_ms=10_000)
+        store = PlainTransactions(10_000, clock)
         yield store
         store.close()
         return
-    store = SqliteTransactions(made_database(tmp_path / "test.db"), checkpoints=True, lease_ms=10_000)
+    store = SqliteTransactions(made_database(tmp_path / "test.db"), checkpoints=True, lease_ms=10_000, clock=clock)
     yield store
     store.close()
 

@@ -65,9 +65,9 @@ def test_what_is_forgotten_leaves_a_sign_and_the_newest(write, read):
 def test_a_job_is_an_event_when_its_state_changes_and_not_with_each_heartbeat(write, read):
     subject = "maps/town/sessions/monday/submaps/a"
     write(lambda uow: uow.queue.enqueue(a_job("op-1", subject=subject)))
-    lease = write(lambda uow: uow.queue.claim("w", NOW))
-    write(lambda uow: uow.queue.extend(lease, NOW))
-    write(lambda uow: uow.queue.complete(lease, {}, NOW, 1))
+    lease = write(lambda uow: uow.queue.claim("w"))
+    write(lambda uow: uow.queue.extend(lease))
+    write(lambda uow: uow.queue.complete(lease, {}))
     events = told(read, map_id="town")
     assert [(event.kind, event.subject) for event in events] == [("OPERATION", "op-1")] * 3
 

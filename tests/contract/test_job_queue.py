@@ -9,44 +9,48 @@ import pytest
 from revisit.service.domain.errors import StaleLease
 from revisit.service.domain.identity import TenantId
 from revisit.service.engines.leased_jobs import MOST_FORGIVEN
-from revisit.service.ports.clock import Instant
 from tests.support.records import TENANT, a_job
 
 LEASE_MS = 10_000
 
 
-def at(ms: int, epoch: str = "boot") -> Instant:
-    return Instant(epoch, ms)
-
-
 @pytest.fixture
-def queue(write):
+def queue(write, clock):
+    def at(ms, epoch="boot"):
+        clock.epoch, clock.ms, clock.day_ns = epoch, ms, 7
+
     class Queue:
         def enqueue(self, *ids, **fields):
             for operation_id in ids:
                 write(lambda uow, operation_id=operation_id: uow.queue.enqueue(a_job(operation_id, **fields)))
 
         def claim(self, ms=0, owner="w1", epoch="boot"):
-            return write(lambda uow: uow.queue.claim(owner, at(ms, epoch)))
+            at(ms, epoch)
+            return write(lambda uow: uow.queue.claim(owner))
 
         def fail(self, lease, ms=0, retry=True, innocent=False):
             how = {"retry": retry, "innocent": innocent}
-            return write(lambda uow: uow.queue.fail(lease, "INTERNAL", "why", at(ms), 7, **how))
+            at(ms)
+            return write(lambda uow: uow.queue.fail(lease, "INTERNAL", "why", **how))
 
         def complete(self, lease, ms=0):
-            write(lambda uow: uow.queue.complete(lease, {"ok": True}, at(ms), 7))
+            at(ms)
+            write(lambda uow: uow.queue.complete(lease, {"ok": True}))
 
         def release(self, owner, ms=0, **why):
-            return write(lambda uow: uow.queue.release(owner, at(ms), why.pop("reason", "it fell over"), **why))
+            at(ms)
+            return write(lambda uow: uow.queue.release(owner, why.pop("reason", "it fell over"), **why))
 
         def forgive(self):
             return write(lambda uow: uow.queue.forgive())
 
         def extend(self, lease, ms):
-            write(lambda uow: uow.queue.extend(lease, at(ms)))
+            at(ms)
+            write(lambda uow: uow.queue.extend(lease))
 
         def fail_exhausted_jobs(self, ms):
-            return write(lambda uow: uow.queue.fail_exhausted_jobs(at(ms), 7))
+            at(ms)
+            return write(lambda uow: uow.queue.fail_exhausted_jobs())
 
     return Queue()
 
@@ -67,12 +71,13 @@ def test_a_job_for_which_a_client_waits_goes_before_older_ones_and_one_for_which
     assert [queue.claim().job.operation_id for _ in range(3)] == ["search", "op-1", "recall"]
 
 
-def test_queries_that_ended_long_ago_are_forgotten_and_nothing_else(queue, write, read):
+def test_queries_that_ended_long_ago_are_forgotten_and_nothing_else(queue, write, read, clock):
     ends = {"older": 10, "old": 20, "recent": 30}
     for operation_id, finished_at_ns in ends.items():
         queue.enqueue(operation_id, priority=0, tenant=f"of-{operation_id}")
         lease = queue.claim()
-        write(lambda uow, lease=lease, at=finished_at_ns: uow.queue.complete(lease, {}, Instant("boot", 0), at))
+        clock.day_ns = finished_at_ns
+        write(lambda uow, lease=lease: uow.queue.complete(lease, {}))
     queue.enqueue("described", priority=1)
     queue.complete(queue.claim())  # ended before all others, but belongs to a submap
     queue.enqueue("waiting", priority=0)
@@ -209,7 +214,7 @@ def test_a_refused_result_undoes_what_came_with_it(queue, write, read):
 
     def result_with_effect(uow):
         uow.queue.enqueue(a_job("effect"))
-        uow.queue.complete(late, {}, at(0), 7)
+        uow.queue.complete(late, {})
 
     with pytest.raises(StaleLease):
         write(result_with_effect)
@@ -261,7 +266,7 @@ def test_the_job_of_a_dead_worker_goes_back_at_once_behind_the_others_for_a_paus
     queue.enqueue("op-1", "op-2", "op-3")
     queue.claim(owner="dead")
     queue.claim(owner="living")
-    assert write(lambda uow: uow.queue.release("dead", at(100), "it fell over")) == 1
+    assert queue.release("dead", 100) == 1
     assert queue.claim(ms=100, owner="living").job.operation_id == "op-3"
     assert queue.claim(ms=599, owner="living") is None
     again = queue.claim(ms=600, owner="living").job
@@ -271,7 +276,7 @@ def test_the_job_of_a_dead_worker_goes_back_at_once_behind_the_others_for_a_paus
 def test_a_late_result_of_a_worker_that_was_given_up_is_refused(queue, write):
     queue.enqueue("op-1")
     late = queue.claim(owner="given up")
-    write(lambda uow: uow.queue.release("given up", at(0), "it hung"))
+    queue.release("given up", reason="it hung")
     with pytest.raises(StaleLease):
         queue.complete(late)
 
@@ -280,7 +285,7 @@ def test_a_job_whose_last_worker_died_is_buried_with_the_reason(queue, write, re
     queue.enqueue("op-1")
     for run in range(3):
         queue.claim(ms=run * LEASE_MS, owner=f"w{run}")
-        write(lambda uow, run=run: uow.queue.release(f"w{run}", at(run * LEASE_MS), f"fall {run} broke it"))
+        queue.release(f"w{run}", run * LEASE_MS, reason=f"fall {run} broke it")
     assert queue.claim(ms=3 * LEASE_MS) is None
     assert [job.operation_id for job in queue.fail_exhausted_jobs(ms=3 * LEASE_MS)] == ["op-1"]
     message = "no worker survived the job: 3 attempts, the last one ended because fall 2 broke it"

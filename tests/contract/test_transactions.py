@@ -9,7 +9,6 @@ import pytest
 
 from revisit.service.domain.errors import AlreadyExists, NotFound
 from revisit.service.domain.identity import TenantId
-from revisit.service.domain.records import WorkerRecord
 from revisit.service.ports.repositories import FoundSubmap
 from revisit.service.ports.storage import require_map
 from tests.support.plain_engine import PlainTransactions
@@ -305,12 +304,16 @@ def test_a_submap_that_has_gone_appears_only_as_removed(write, read):
     assert [change.vector for change in read(lambda uow: uow.changes.since(TENANT, 1, 0))] == [None, None]
 
 
-def test_workers_are_alive_while_they_beat_in_this_boot(write, read):
-    write(lambda uow: uow.workers.beat(WorkerRecord("w1", "m", "boot", 100)))
-    write(lambda uow: uow.workers.beat(WorkerRecord("w2", "m", "boot", 200)))
-    write(lambda uow: uow.workers.beat(WorkerRecord("w1", "m", "boot", 300)))
-    write(lambda uow: uow.workers.beat(WorkerRecord("w3", "m", "earlier boot", 900)))
-    assert [worker.worker_id for worker in read(lambda uow: uow.workers.alive("boot", 0))] == ["w1", "w2"]
-    assert [worker.worker_id for worker in read(lambda uow: uow.workers.alive("boot", 250))] == ["w1"]
+def test_workers_are_alive_while_they_beat_in_this_boot(write, read, clock):
+    def alive(within_ms):
+        return [worker.worker_id for worker in read(lambda uow: uow.workers.alive(within_ms))]
+
+    for worker_id, clock.epoch, clock.ms in (
+        ("w3", "earlier boot", 900),
+        *(("w1", "boot", 100), ("w2", "boot", 200), ("w1", "boot", 300)),
+    ):
+        write(lambda uow, worker_id=worker_id: uow.workers.beat(worker_id, "m"))
+    assert alive(300) == ["w1", "w2"]
+    assert alive(50) == ["w1"]
     write(lambda uow: uow.workers.forget("w1"))
-    assert [worker.worker_id for worker in read(lambda uow: uow.workers.alive("boot", 0))] == ["w2"]
+    assert alive(300) == ["w2"]

@@ -14,6 +14,7 @@ from sqlalchemy import Connection, Engine
 from revisit.core.errors import DataLoss
 from revisit.service.domain.identity import TenantId
 from revisit.service.domain.records import JobRecord, MapRecord, ScanRecord, SessionRecord, SubmapRecord
+from revisit.service.engines.local.clock import SystemClock
 from revisit.service.engines.local.files.blobs import FileBlobStore
 from revisit.service.engines.local.sqlite.connections import writer_engine
 from revisit.service.engines.local.sqlite.engine import SqliteEngine
@@ -51,7 +52,7 @@ def survey(home: Path, tenant: TenantId = TENANT) -> Survey:
     blobs = FileBlobStore(home / "blobs")
     try:
         with engine.begin() as connection:
-            found = _survey(SqlUnitOfWork(connection, SqliteEngine(), lease_ms=10_000), blobs, tenant)
+            found = _survey(SqlUnitOfWork(connection, SqliteEngine(), 10_000, SystemClock()), blobs, tenant)
             found.problems.extend(_file_problems(connection))
     finally:
         engine.dispose()

@@ -13,7 +13,8 @@ import pytest
 from tests.faults.drive import ANNEX, POSTED, SCANS, STREAMED, drive
 from tests.faults.history import History
 from tests.faults.survey import survey
-from tests.support.service_world import TENANT, SteppedClock, memory_world, open_session, sqlite_world, submap
+from tests.support.service_world import TENANT, memory_world, open_session, sqlite_world, submap
+from tests.support.stepped_clock import SteppedClock
 
 ROOT = Path(__file__).resolve().parents[2]
 HOUR_NS = 3_600 * 10**9
@@ -44,17 +45,9 @@ class JumpingClock(SteppedClock):
         return NOW_NS + self.jumps_ns[next(self._readings) % len(self.jumps_ns)]
 
 
-def with_jumps(world, jumps_ns):
-    """The world with a clock that jumps."""
-    clock = JumpingClock(jumps_ns=jumps_ns)
-    object.__setattr__(world.context, "clock", clock)
-    world.clock = clock
-    return world
-
-
 @pytest.mark.parametrize("jumps_ns", JUMPS.values(), ids=JUMPS)
 def test_a_drive_under_a_jumping_wall_clock_stores_what_it_stores_under_a_steady_one(folder, jumps_ns):
-    world, history = with_jumps(sqlite_world(folder / "home"), jumps_ns), History()
+    world, history = sqlite_world(folder / "home", clock=JumpingClock(jumps_ns=jumps_ns)), History()
     try:
         asyncio.run(drive(world, history))
         listed = world.context.transactions.read(lambda uow: uow.submaps.find(TENANT, map_id=POSTED.map_id)).result()
@@ -70,7 +63,7 @@ def test_a_drive_under_a_jumping_wall_clock_stores_what_it_stores_under_a_steady
 
 @pytest.mark.parametrize("jumps_ns", JUMPS.values(), ids=JUMPS)
 def test_no_lease_is_stolen_or_kept_by_a_jump_of_the_wall_clock(jumps_ns):
-    world = with_jumps(memory_world(lease_ms=10_000), jumps_ns)
+    world = memory_world(JumpingClock(jumps_ns=jumps_ns), lease_ms=10_000)
     asyncio.run(open_session(world, POSTED))
     asyncio.run(world.use_cases.posting.post(TENANT, submap("a", 1, POSTED)))
     assert world.claim("w1").job.attempts == 1

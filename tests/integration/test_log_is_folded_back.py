@@ -8,7 +8,6 @@ from contextlib import closing
 import pytest
 
 from revisit.service.domain.errors import StorageUncertain
-from revisit.service.domain.records import WorkerRecord
 from revisit.service.engines.local.files.disk import FailStop
 from revisit.service.engines.local.sqlite import checkpoints
 from revisit.service.engines.local.sqlite.checkpoints import LARGE_BYTES, OLD_S, Checkpoints
@@ -36,7 +35,7 @@ class World:
         """Work of a worker until so many bytes more have been written."""
         written, sent = 0, "v" * 100_000
         while written < bytes_more:
-            self.worker.write(lambda uow: uow.workers.beat(WorkerRecord("w", sent, "boot", 1)), alone=True).result()
+            self.worker.write(lambda uow: uow.workers.beat("w", sent), alone=True).result()
             written += len(sent)
 
     @property

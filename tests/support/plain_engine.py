@@ -9,8 +9,10 @@ from contextlib import contextmanager
 from sqlalchemy import Connection, Engine, MetaData, Table, create_engine, text
 from sqlalchemy.pool import StaticPool
 
+from revisit.service.engines.local.clock import SystemClock
 from revisit.service.engines.sql.tables import metadata
 from revisit.service.engines.sql.unit_of_work import SqlUnitOfWork
+from revisit.service.ports.clock import Clock
 
 HIGHEST = text("SELECT number FROM highest WHERE table_name = :name")
 
@@ -37,9 +39,9 @@ class PlainEngine:
 class PlainTransactions:
     """`Transactions`: each runs at once, in the thread that asks, alone."""
 
-    def __init__(self, lease_ms: int) -> None:
+    def __init__(self, lease_ms: int, clock: Clock = SystemClock()) -> None:
         self.database, self.engine = plain_database(), PlainEngine()
-        self._lease_ms = lease_ms
+        self._lease_ms, self._clock = lease_ms, clock
         self._lock = threading.Lock()
 
     def write(self, work, *, alone: bool = False) -> Future:
@@ -65,7 +67,7 @@ class PlainTransactions:
     def transaction(self):
         """One unit of work."""
         with self._lock, self.database.begin() as connection:
-            yield SqlUnitOfWork(connection, self.engine, self._lease_ms)
+            yield SqlUnitOfWork(connection, self.engine, self._lease_ms, self._clock)
 
     def version(self) -> int | None:
         """It does not count its commits."""

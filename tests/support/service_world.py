@@ -25,7 +25,6 @@ from revisit.service.features.catalogue.sessions import CreateSession
 from revisit.service.features.ingest.calls import AppendScan
 from revisit.service.features.ingest.posting import PostSubmap
 from revisit.service.features.operations.job_runner import JobRunner
-from revisit.service.ports.clock import Instant
 from revisit.service.ports.disk import DiskSpace, UnlimitedDisk
 from revisit.service.ports.map_merger import MapMerger
 from revisit.service.ports.map_optimiser import MapOptimiser
@@ -39,27 +38,12 @@ from tests.support.made_database import made_database
 from tests.support.memory.blobs import MemoryBlobStore
 from tests.support.memory.transactions import MemoryTransactions
 from tests.support.memory.vector_index import MemoryVectorIndex
+from tests.support.stepped_clock import SteppedClock
 
 T = TypeVar("T")
 
 TENANT = DEFAULT_TENANT
 SESSION = SessionKey("town", "monday")
-
-
-@dataclass
-class SteppedClock:
-    """`Clock` that moves when told to."""
-
-    epoch: str = "boot-1"
-    ms: int = 1_000_000
-
-    def wall_ns(self) -> int:
-        """See `Clock`."""
-        return 1_700_000_000_000_000_000 + self.ms * 1_000_000
-
-    def instant(self) -> Instant:
-        """See `Clock`."""
-        return Instant(self.epoch, self.ms)
 
 
 @dataclass
@@ -81,8 +65,7 @@ class World:
 
     def claim(self, owner: str = "w1"):
         """The next lease, or None."""
-        now = self.clock.instant()
-        return self.context.transactions.write(lambda uow: uow.queue.claim(owner, now)).result()
+        return self.context.transactions.write(lambda uow: uow.queue.claim(owner)).result()
 
     def work_off(self, recogniser: PlaceRecogniser | None = None) -> int:
         """Run every job that is due; how many."""
@@ -108,22 +91,23 @@ def policy(pipeline: PipelineConfig = PipelineConfig(), **overrides) -> Policy:
     return Policy(pipeline=replace(pipeline, loop=loop), **overrides)
 
 
-def memory_world(**overrides) -> World:
+def memory_world(clock: SteppedClock | None = None, **overrides) -> World:
     """The service over the stores in memory."""
-    rules = policy(**overrides)
-    return _world(MemoryTransactions(rules.lease_ms), MemoryBlobStore(), rules)
+    rules, clock = policy(**overrides), clock or SteppedClock()
+    return _world(MemoryTransactions(rules.lease_ms, clock), MemoryBlobStore(), rules, clock)
 
 
-def sqlite_world(home: Path, disk: DiskSpace = UnlimitedDisk(), **overrides) -> World:
+def sqlite_world(
+    home: Path, disk: DiskSpace = UnlimitedDisk(), clock: SteppedClock | None = None, **overrides
+) -> World:
     """The service over SQLite and files in `home`; close its transactions at the end."""
-    rules = policy(**overrides)
+    rules, clock = policy(**overrides), clock or SteppedClock()
     database = made_database(home / "revisit.db")
-    transactions = SqliteTransactions(database, checkpoints=True, lease_ms=rules.lease_ms)
-    return replace(_world(transactions, FileBlobStore(home / "blobs"), rules, disk), home=home)
+    transactions = SqliteTransactions(database, checkpoints=True, lease_ms=rules.lease_ms, clock=clock)
+    return replace(_world(transactions, FileBlobStore(home / "blobs"), rules, clock, disk), home=home)
 
 
-def _world(transactions, blobs, rules: Policy, disk: DiskSpace = UnlimitedDisk()) -> World:
-    clock = SteppedClock()
+def _world(transactions, blobs, rules: Policy, clock: SteppedClock, disk: DiskSpace = UnlimitedDisk()) -> World:
     context = ServiceContext(transactions, blobs, MemoryVectorIndex(), clock, rules, threading.Event(), disk=disk)
     return World(context, UseCases.over(context, "test"), clock)
 

@@ -20,7 +20,7 @@ class SqlJobs(SqlRepository[JobRecord]):
     """`JobRepository`."""
 
     def next_runnable(self, now: Instant, tenant: TenantId) -> JobRecord | None:
-        """See `JobRepository`."""
+        """See `LeasableJobs`."""
         asked = {**_moment(now), "tenant": tenant}
         # One query per state: each walks the index of its state, however many jobs have finished.
         rows = [self._connection.execute(_runnable(lost), asked).first() for lost in (False, True)]
@@ -35,11 +35,11 @@ class SqlJobs(SqlRepository[JobRecord]):
         return frozenset(self._connection.execute(select(jobs.operation_id).where(its)).scalars())
 
     def exhausted(self, now: Instant) -> list[JobRecord]:
-        """See `JobRepository`."""
+        """See `LeasableJobs`."""
         return [self._of(row) for row in self._connection.execute(_exhausted(), _moment(now))]
 
     def leased_to(self, owner: str | None) -> list[JobRecord]:
-        """See `JobRepository`."""
+        """See `LeasableJobs`."""
         query = select(tables.jobs).where(tables.jobs.c.state == OperationState.RUNNING.value)
         if owner is not None:
             query = query.where(tables.jobs.c.lease_owner == owner)

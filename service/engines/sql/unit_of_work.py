@@ -46,6 +46,7 @@ from revisit.service.engines.sql.loops import SqlLoops
 from revisit.service.engines.sql.repositories import SqlRepository, SqlScans, SqlSubmaps
 from revisit.service.engines.sql.turns import SqlTenantTurns
 from revisit.service.engines.sql.worker_log import SqlWorkerLog
+from revisit.service.ports.clock import Clock
 
 R = TypeVar("R")
 Kind = TypeVar("Kind", bound=SqlRepository[Any])
@@ -84,11 +85,12 @@ def stored(
 
 @dataclass(frozen=True)
 class SqlUnitOfWork:
-    """`UnitOfWork` over a connection in one transaction. A lease lasts `lease_ms` milliseconds."""
+    """`UnitOfWork` over a connection in one transaction. A lease lasts `lease_ms` milliseconds of `clock`."""
 
     connection: Connection
     engine: DatabaseEngine
     lease_ms: int
+    clock: Clock
     sees_all: bool = False
     """Whether rows of what is being deleted are seen."""
 
@@ -135,7 +137,7 @@ class SqlUnitOfWork:
     @cached_property
     def queue(self) -> LeasedJobs:
         """The job queue in this transaction."""
-        return LeasedJobs(self.jobs, FairTurns(SqlTenantTurns(self.connection)), self.lease_ms)
+        return LeasedJobs(self.jobs, FairTurns(SqlTenantTurns(self.connection)), self.lease_ms, self.clock)
 
     @cached_property
     def changes(self) -> SqlChangeLog:
@@ -150,7 +152,7 @@ class SqlUnitOfWork:
     @cached_property
     def workers(self) -> SqlWorkerLog:
         """The living workers."""
-        return SqlWorkerLog(self.connection)
+        return SqlWorkerLog(self.connection, self.clock)
 
     @cached_property
     def keys(self) -> SqlKeyRing:

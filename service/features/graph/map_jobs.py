@@ -10,7 +10,6 @@ from revisit.service.domain.identity import TenantId
 from revisit.service.domain.policy import Policy
 from revisit.service.domain.records import JobRecord
 from revisit.service.domain.states import LoopState, OperationKind, OperationState
-from revisit.service.ports.clock import Instant
 from revisit.service.ports.tracing import current_request
 from revisit.service.ports.transactions import UnitOfWork
 
@@ -24,10 +23,10 @@ def post_map_job(
     kind: OperationKind,
     policy: Policy,
     now_ns: int,
-    due: Instant | None = None,
+    delay_ms: int = 0,
     priority: int = 1,
 ) -> JobRecord:
-    """Queue a job about a map, not to be run before `due`."""
+    """Queue a job about a map, not to be run before `delay_ms` have passed."""
     request = current_request()
     return uow.queue.enqueue(
         JobRecord(
@@ -41,11 +40,10 @@ def post_map_job(
             max_attempts=policy.max_attempts,
             created_at_ns=now_ns,
             priority=priority,
-            lease_epoch="" if due is None else due.epoch,
-            not_before_ms=0 if due is None else due.ms,
             request_id=request.request_id,
             traceparent=request.span.traceparent,
-        )
+        ),
+        delay_ms=delay_ms,
     )
 
 

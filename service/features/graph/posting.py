@@ -10,7 +10,6 @@ from revisit.service.domain.policy import Policy
 from revisit.service.domain.records import JobRecord
 from revisit.service.domain.states import LoopState, OperationKind, OperationState
 from revisit.service.features.graph.map_jobs import post_map_job, waiting_map_job
-from revisit.service.ports.clock import Instant
 from revisit.service.ports.transactions import UnitOfWork
 
 LOOPS_A_DELAY = 500
@@ -23,7 +22,6 @@ def optimise_soon(
     tenant: TenantId,
     map_id: str,
     policy: Policy,
-    now: Instant,
     now_ns: int,
     *,
     decided: bool = False,
@@ -38,15 +36,14 @@ def optimise_soon(
     accepted = {"map_id": map_id, "state": LoopState.ACCEPTED.value}
     if decided or least == 1 or uow.loops.count(tenant, **accepted, graph_state=None) >= least:
         delays = 1 if decided else 1 + uow.loops.count(tenant, **accepted) // LOOPS_A_DELAY
-        due = Instant(now.epoch, now.ms + delays * policy.optimise_delay_ms)
-        post_optimisation(uow, tenant, map_id, policy, now_ns, due)
+        post_optimisation(uow, tenant, map_id, policy, now_ns, delays * policy.optimise_delay_ms)
 
 
 def post_optimisation(
-    uow: UnitOfWork, tenant: TenantId, map_id: str, policy: Policy, now_ns: int, due: Instant | None = None
+    uow: UnitOfWork, tenant: TenantId, map_id: str, policy: Policy, now_ns: int, delay_ms: int = 0
 ) -> JobRecord:
-    """Queue the job, not to be run before `due`."""
-    return post_map_job(uow, tenant, map_id, OperationKind.OPTIMISE_MAP, policy, now_ns, due)
+    """Queue the job, not to be run before `delay_ms` have passed."""
+    return post_map_job(uow, tenant, map_id, OperationKind.OPTIMISE_MAP, policy, now_ns, delay_ms)
 
 
 def waiting_optimisation(uow: UnitOfWork, tenant: TenantId, map_id: str) -> JobRecord | None:
@@ -56,7 +53,7 @@ def waiting_optimisation(uow: UnitOfWork, tenant: TenantId, map_id: str) -> JobR
 
 def brought_forward(uow: UnitOfWork, job: JobRecord) -> JobRecord:
     """The waiting job, due at once."""
-    due = replace(job, lease_epoch="", not_before_ms=0)
+    due = replace(job, not_before_ms=0)
     uow.jobs.replace(due)
     return due
 

@@ -142,7 +142,7 @@ class LoopDecisions:
         entry = audit.noted(tenant, f"loop_{change.kind.lower()}", f"maps/{map_id}/loopClosures/{loop_id}")
         audit.append(uow, change.at_ns, entry)
         note_edit(uow, tenant, map_id)
-        optimise_soon(uow, tenant, map_id, self._policy, self._clock.instant(), change.at_ns, decided=True)
+        optimise_soon(uow, tenant, map_id, self._policy, change.at_ns, decided=True)
         return loop_seen(uow, changed)
 
     def _propose(

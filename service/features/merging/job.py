@@ -89,8 +89,8 @@ class MapMerging:
             self._context.complete(lease, proposal.report())
             return True
         progress("COMMIT")
-        now, now_ns = self._context.clock.instant(), self._context.clock.wall_ns()
-        commit = MergeCommit(lease, proposal, self._context.policy, now, now_ns)
+        now_ns = self._context.clock.wall_ns()
+        commit = MergeCommit(lease, proposal, self._context.policy, now_ns)
         return self._context.transactions.write(commit).result()
 
     def _audited(self, task: MergeTask, progress: Progress) -> MergeTask:

@@ -24,7 +24,6 @@ from revisit.service.features.loops.claims import verdict_evidence
 from revisit.service.features.loops.rows import Change, add_loop
 from revisit.service.features.merging.rules import MergeProposal
 from revisit.service.features.optimisation.rows import add_version, forget_versions, summary_of
-from revisit.service.ports.clock import Instant
 from revisit.service.ports.job_queue import Lease
 from revisit.service.ports.map_optimiser import OptimisedMap, OptimisedTrack, RefusedJoin
 from revisit.service.ports.storage import require_deleted
@@ -50,7 +49,6 @@ class MergeCommit:
     lease: Lease
     proposal: MergeProposal
     policy: Policy
-    now: Instant
     now_ns: int
 
     def __call__(self, uow: UnitOfWork) -> bool:
@@ -66,7 +64,7 @@ class MergeCommit:
         failpoint("map_merge.after_rows")
         report = self._store(uow, current, copies)
         forget_versions(uow, current.tenant, current.map_id, current.map_version + 1 - self.policy.map_versions_kept)
-        uow.queue.complete(self.lease, report, self.now, self.now_ns)
+        uow.queue.complete(self.lease, report)
         return True
 
     def _unchanged(self, uow: UnitOfWork) -> MapRecord | None:

@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-from functools import partial
-
 from revisit.core.errors import ErrorCode
 from revisit.service.features.operations.dead_letters import mark_subject_failed
-from revisit.service.ports.clock import Clock, Instant
 from revisit.service.ports.disk import DiskSpace
 from revisit.service.ports.job_queue import Lease
 from revisit.service.ports.transactions import Transactions, UnitOfWork
@@ -15,10 +12,9 @@ from revisit.service.ports.transactions import Transactions, UnitOfWork
 class JobClaims:
     """Claims jobs for one worker; tenants take turns."""
 
-    def __init__(self, transactions: Transactions, clock: Clock, disk: DiskSpace, owner: str) -> None:
+    def __init__(self, transactions: Transactions, disk: DiskSpace, owner: str) -> None:
         """`owner` is the id of the worker."""
         self._transactions = transactions
-        self._clock = clock
         self._disk = disk
         self._owner = owner
 
@@ -29,12 +25,11 @@ class JobClaims:
         """
         if self._disk.exhausted():
             return None
-        now = self._clock.instant()
-        if not self._transactions.read(lambda uow: uow.queue.waits(now)).result():
+        if not self._transactions.read(lambda uow: uow.queue.waits()).result():
             return None
-        return self._transactions.write(partial(self._claim, now=now)).result()
+        return self._transactions.write(self._claim).result()
 
-    def _claim(self, uow: UnitOfWork, now: Instant) -> Lease | None:
-        for job in uow.queue.fail_exhausted_jobs(now, self._clock.wall_ns()):
+    def _claim(self, uow: UnitOfWork) -> Lease | None:
+        for job in uow.queue.fail_exhausted_jobs():
             mark_subject_failed(uow, job, ErrorCode.INTERNAL, job.failure_message or "")
-        return uow.queue.claim(self._owner, now)
+        return uow.queue.claim(self._owner)

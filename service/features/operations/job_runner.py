@@ -66,6 +66,5 @@ class JobRunner:
     def _store_failure(
         self, uow: UnitOfWork, lease: Lease, code: ErrorCode, message: str, *, retry: bool, innocent: bool
     ) -> None:
-        now, now_ns = self._context.clock.instant(), self._context.clock.wall_ns()
-        if uow.queue.fail(lease, code, message, now, now_ns, retry=retry, innocent=innocent):
+        if uow.queue.fail(lease, code, message, retry=retry, innocent=innocent):
             mark_subject_failed(uow, lease.job, code, message)

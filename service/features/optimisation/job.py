@@ -80,8 +80,8 @@ class MapOptimisation:
             optimised = self._audit.solved(task, progress)
             failpoint("optimise.after_solution")
             progress("COMMIT")
-            now, now_ns = self._context.clock.instant(), self._context.clock.wall_ns()
-            commit = VersionCommit(lease, task, optimised, self._context.policy, now, now_ns)
+            now_ns = self._context.clock.wall_ns()
+            commit = VersionCommit(lease, task, optimised, self._context.policy, now_ns)
             if self._context.transactions.write(commit).result():
                 return
         raise Unavailable("the map was changed again and again while it was optimised")

@@ -26,7 +26,6 @@ from revisit.service.features.graph.session_poses import (
     pack_loops,
 )
 from revisit.service.features.loops.rows import Change, change_loops
-from revisit.service.ports.clock import Instant
 from revisit.service.ports.job_queue import Lease
 from revisit.service.ports.map_optimiser import (
     FAULTS,
@@ -51,7 +50,6 @@ class VersionCommit:
     task: MapTask
     optimised: OptimisedMap
     policy: Policy
-    now: Instant
     now_ns: int
 
     def __call__(self, uow: UnitOfWork) -> bool:
@@ -81,7 +79,7 @@ class VersionCommit:
         self._end(uow, {"version": f"maps/{current.map_id}/versions/{version}", **summary})
 
     def _end(self, uow: UnitOfWork, result: dict[str, Any]) -> None:
-        uow.queue.complete(self.lease, result, self.now, self.now_ns)
+        uow.queue.complete(self.lease, result)
 
 
 def add_version(

@@ -116,10 +116,9 @@ class MapFiling:
                 self._context.blobs.put(tenant, MAP_LAYOUT_BLOB, blob)
             known = uow.map_files.add(record)
             _forget_oldest(uow, tenant, record.map_id)
-        now, now_ns = self._context.clock.instant(), self._context.clock.wall_ns()
         name = f"maps/{known.map_id}/files/{known.version}"
         result = {"map_file": name, "map_hash": known.sha256, "size_bytes": known.size_bytes}
-        uow.queue.complete(lease, result, now, now_ns)
+        uow.queue.complete(lease, result)
         return True
 
 

@@ -130,9 +130,9 @@ class SubmapDescriptionJob:
             recall = self._memory.recall(task.map, described.description.descriptor, config.loop.candidates, where)
             kept, earlier = self._judged(task.submap, described.description.place, recall, config, judged)
             context = self._context
-            now, now_ns = context.clock.instant(), context.clock.wall_ns()
+            now_ns = context.clock.wall_ns()
             commit = DescriptionCommit(
-                context.blobs, context.policy, lease, task, described, kept, earlier, where, recall.seq, now, now_ns
+                context.blobs, context.policy, lease, task, described, kept, earlier, where, recall.seq, now_ns
             )
             failpoint("job.before_commit")
             if context.transactions.write(commit).result():

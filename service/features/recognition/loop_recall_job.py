@@ -30,7 +30,6 @@ from revisit.service.features.loops.claims import rules_of, verdict_evidence
 from revisit.service.features.loops.rows import Change, LoopStanding, change_loop, decided_by_person
 from revisit.service.features.operations.progress import OperationCancelled, Progress
 from revisit.service.features.recognition.comparison import Comparison
-from revisit.service.ports.clock import Instant
 from revisit.service.ports.job_context import JobContext
 from revisit.service.ports.job_queue import CANCELLED, Lease
 from revisit.service.ports.recogniser import PlaceRecogniser
@@ -96,8 +95,8 @@ class LoopRecallJob:
             context.complete(lease, CANCELLED)
             return
         failpoint("recall.before_commit")
-        now, now_ns = context.clock.instant(), context.clock.wall_ns()
-        commit = RecallCommit(lease, self._recogniser.model_version, context.policy, tested, now, now_ns)
+        now_ns = context.clock.wall_ns()
+        commit = RecallCommit(lease, self._recogniser.model_version, context.policy, tested, now_ns)
         if context.transactions.write(commit).result():
             self._early.update(tenant, map_id)
 
@@ -230,7 +229,6 @@ class RecallCommit:
     model_version: str
     policy: Policy
     tested: list[RecalledLoop]
-    now: Instant
     now_ns: int
 
     def __call__(self, uow: UnitOfWork) -> int:
@@ -242,9 +240,9 @@ class RecallCommit:
         accepted = sum(self._store(uow, one) for one in self.tested)
         job = self.lease.job
         if accepted:
-            optimise_soon(uow, job.tenant, str(job.payload["map_id"]), self.policy, self.now, self.now_ns)
+            optimise_soon(uow, job.tenant, str(job.payload["map_id"]), self.policy, self.now_ns)
         result = {"tested": len(self.tested), "accepted": accepted}
-        uow.queue.complete(self.lease, result, self.now, self.now_ns)
+        uow.queue.complete(self.lease, result)
         return accepted
 
     def _store(self, uow: UnitOfWork, one: RecalledLoop) -> bool:

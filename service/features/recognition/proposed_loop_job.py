@@ -20,7 +20,6 @@ from revisit.service.features.loops.claims import rules_of, verdict_evidence
 from revisit.service.features.loops.rows import Change, change_loop
 from revisit.service.features.recognition.comparison import Comparison
 from revisit.service.ports.blobs import PLACE_BLOB
-from revisit.service.ports.clock import Instant
 from revisit.service.ports.job_context import JobContext
 from revisit.service.ports.job_queue import Lease
 from revisit.service.ports.recogniser import PlaceRecogniser
@@ -50,7 +49,6 @@ class VerdictCommit:
     policy: Policy
     pair: ProposedPair | None
     verdict: PairVerdict | None
-    now: Instant
     now_ns: int
 
     def __call__(self, uow: UnitOfWork) -> None:
@@ -58,7 +56,7 @@ class VerdictCommit:
         uow.queue.require(self.lease)
         loop = _proposed(uow, self.lease.job)
         if loop is None or self.pair is None or self.verdict is None:
-            uow.queue.complete(self.lease, NO_LONGER_PROPOSED, self.now, self.now_ns)
+            uow.queue.complete(self.lease, NO_LONGER_PROPOSED)
             return
         verdict, measured = self.verdict, self.verdict.measurement
         accepted = isinstance(verdict, VerifiedLoop)
@@ -77,9 +75,9 @@ class VerdictCommit:
             evidence={**evidence, "model_version": self.model_version},
         )
         if accepted:
-            optimise_soon(uow, loop.tenant, loop.map_id, self.policy, self.now, self.now_ns)
+            optimise_soon(uow, loop.tenant, loop.map_id, self.policy, self.now_ns)
         result = {"loop_closure": f"maps/{loop.map_id}/loopClosures/{loop.loop_id}", "state": state.value}
-        uow.queue.complete(self.lease, {**result, "reason": reason}, self.now, self.now_ns)
+        uow.queue.complete(self.lease, {**result, "reason": reason})
 
     def _rules(self, evidence: dict[str, Any]) -> dict[str, Any]:
         return {"model_version": self.model_version, **rules_of(evidence)}
@@ -103,8 +101,8 @@ class ProposedLoopJob:
         if pair is not None:
             place = context.blobs.get(pair.query.tenant, PLACE_BLOB, str(pair.query.place_sha256))
             verdict = self._comparison.verify(place, pair.match, context.policy.for_map(pair.map), pair.near)
-        now, now_ns = context.clock.instant(), context.clock.wall_ns()
-        commit = VerdictCommit(lease, self._recogniser.model_version, context.policy, pair, verdict, now, now_ns)
+        now_ns = context.clock.wall_ns()
+        commit = VerdictCommit(lease, self._recogniser.model_version, context.policy, pair, verdict, now_ns)
         context.transactions.write(commit).result()
         if pair is not None and isinstance(verdict, VerifiedLoop):
             self._early.update(pair.map.tenant, pair.map.map_id)

@@ -28,7 +28,6 @@ from revisit.service.features.loops.rows import (
 )
 from revisit.service.features.resources.views import submap_key
 from revisit.service.ports.blobs import BlobStore
-from revisit.service.ports.clock import Instant
 from revisit.service.ports.index import IndexChange, VectorFilter
 from revisit.service.ports.job_queue import Lease
 from revisit.service.ports.recogniser import SubmapDescription
@@ -83,7 +82,6 @@ class DescriptionCommit:
     revised: list[RevisedLoop]
     where: ReadFilter
     seq: int
-    now: Instant
     now_ns: int
 
     def __call__(self, uow: UnitOfWork) -> bool:
@@ -110,7 +108,7 @@ class DescriptionCommit:
         add_loops(uow, [(loop, self._verified(loop.evidence)) for loop in loops])
         accepted = sum(item.claim.accepted for item in present)
         if accepted + sum(self._revise(uow, loop) for loop in self.revised):
-            optimise_soon(uow, tenant, map_record.map_id, self.policy, self.now, self.now_ns)
+            optimise_soon(uow, tenant, map_record.map_id, self.policy, self.now_ns)
         failpoint("merge.after_loops")
         timings = {stage: round(seconds, 4) for stage, seconds in self.described.description.timings_s.items()}
         result = {"submap": submap_key(self.task.submap).name, "loops_accepted": accepted}
@@ -132,7 +130,7 @@ class DescriptionCommit:
             raise DescriptorModelMismatch(f"map {row.map_id} was described by model {current.model_version}")
 
     def _end(self, uow: UnitOfWork, result: dict[str, Any]) -> None:
-        uow.queue.complete(self.lease, result, self.now, self.now_ns)
+        uow.queue.complete(self.lease, result)
 
     def _revise(self, uow: UnitOfWork, revised: RevisedLoop) -> bool:
         """Change the verdict of an earlier loop, if it still has the one that it was read with."""

@@ -13,7 +13,6 @@ from revisit.service.domain.identity import TenantId
 from revisit.service.domain.records import WorkerRecord
 from revisit.service.domain.states import OperationState, SubmapState
 from revisit.service.features.index.keeping import IndexHealth
-from revisit.service.ports.clock import Clock
 from revisit.service.ports.disk import DiskSpace
 from revisit.service.ports.storage import Storage
 from revisit.service.ports.transactions import UnitOfWork
@@ -58,14 +57,13 @@ class System:
     """Readiness, status, drain."""
 
     def __init__(
-        self, storage: Storage, admission: Admission, disk: DiskSpace, index: IndexHealth, clock: Clock, version: str
+        self, storage: Storage, admission: Admission, disk: DiskSpace, index: IndexHealth, version: str
     ) -> None:
         """`index` is the state of this process's index; `version` is the product's."""
         self._storage = storage
         self._admission = admission
         self._disk = disk
         self._index = index
-        self._clock = clock
         self._version = version
         self._looking: asyncio.Task[Readiness] | None = None
 
@@ -115,8 +113,7 @@ class System:
         )
 
     def _alive(self, uow: UnitOfWork) -> Sequence[WorkerRecord]:
-        now = self._clock.instant()
-        return uow.workers.alive(now.epoch, now.ms - WORKER_SEEN_WITHIN_MS)
+        return uow.workers.alive(WORKER_SEEN_WITHIN_MS)
 
     def drain(self) -> None:
         """From now on refuse new work with Draining; work in progress ends."""

@@ -13,7 +13,6 @@ import zstandard
 
 from revisit.core.errors import ErrorCode
 from revisit.formats import QUANTISED, encode_quantised
-from revisit.service.domain.records import WorkerRecord
 from revisit.service.rest.routes.page import WEB
 from revisit.service.status import STATUS
 from tests.support.patience import PATIENCE_S
@@ -248,11 +247,10 @@ def test_a_draining_service_is_not_ready(http, service):
 
 
 def test_a_service_without_a_living_worker_says_so(http, service):
-    clock, transactions = service.world.clock, service.world.context.transactions
+    transactions = service.world.context.transactions
     (degraded,) = http.get("/readyz").json()["degraded"]
     assert degraded.startswith("no worker lives")
-    now = clock.instant()
-    transactions.write(lambda uow: uow.workers.beat(WorkerRecord("w1", "fake-1", now.epoch, now.ms))).result()
+    transactions.write(lambda uow: uow.workers.beat("w1", "fake-1")).result()
     try:
         assert http.get("/readyz").json() == {"ready": True, "reasons": [], "degraded": []}
     finally:

@@ -21,7 +21,7 @@ from revisit.service.domain.records import (
     WorkerRecord,
 )
 from revisit.service.domain.states import EventKind, LoopState, OperationState, SubmapState
-from revisit.service.ports.clock import Instant
+from revisit.service.ports.clock import Clock, Instant
 from revisit.service.ports.index import IndexChange
 from revisit.service.ports.repositories import FoundSubmap, PathPoint, PlacedSubmap
 
@@ -270,7 +270,7 @@ class MemoryJobs(MemoryRepository[JobRecord]):
     """`JobRepository`."""
 
     def next_runnable(self, now: Instant, tenant: TenantId) -> JobRecord | None:
-        """See `JobRepository`."""
+        """See `LeasableJobs`."""
         due = [job for job in self._all() if job.tenant == tenant and _due(job, now)]
         return min(due, key=lambda job: (job.priority, job.number), default=None)
 
@@ -281,11 +281,11 @@ class MemoryJobs(MemoryRepository[JobRecord]):
         return frozenset(ids.intersection(operation_ids))
 
     def exhausted(self, now: Instant) -> list[JobRecord]:
-        """See `JobRepository`."""
+        """See `LeasableJobs`."""
         return [job for job in self._all() if _lost(job, now) and job.counted_attempts >= job.max_attempts]
 
     def leased_to(self, owner: str | None) -> list[JobRecord]:
-        """See `JobRepository`."""
+        """See `LeasableJobs`."""
         running = (job for job in self._all() if job.state == OperationState.RUNNING)
         return [job for job in running if owner in (None, job.lease_owner)]
 
@@ -419,19 +419,23 @@ class MemoryEventLog:
 class MemoryWorkerLog:
     """`WorkerLog`."""
 
-    def __init__(self, rows: Rows) -> None:
+    def __init__(self, rows: Rows, clock: Clock) -> None:
         """Workers by their place in `rows`."""
         self._rows = rows
+        self._clock = clock
 
-    def beat(self, worker: WorkerRecord) -> None:
+    def beat(self, worker_id: str, model_version: str) -> None:
         """See `WorkerLog`."""
-        self.forget(worker.worker_id)
+        now = self._clock.instant()
+        worker = WorkerRecord(worker_id, model_version, now.epoch, now.ms)
+        self.forget(worker_id)
         self._rows.last += 1
         self._rows.by_number[self._rows.last] = worker
 
-    def alive(self, epoch: str, since_ms: int) -> list[WorkerRecord]:
+    def alive(self, within_ms: int) -> list[WorkerRecord]:
         """See `WorkerLog`."""
-        alive = [w for w in self._rows.by_number.values() if w.epoch == epoch and w.seen_ms >= since_ms]
+        now, workers = self._clock.instant(), self._rows.by_number.values()
+        alive = [one for one in workers if one.epoch == now.epoch and one.seen_ms >= now.ms - within_ms]
         return sorted(alive, key=lambda worker: (-worker.seen_ms, worker.worker_id))
 
     def forget(self, worker_id: str) -> None:

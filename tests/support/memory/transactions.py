@@ -25,6 +25,8 @@ from revisit.service.domain.records import (
 from revisit.service.domain.webhooks import DeliveryRecord, WebhookRecord
 from revisit.service.engines.fair_turns import FairTurns
 from revisit.service.engines.leased_jobs import LeasedJobs
+from revisit.service.engines.local.clock import SystemClock
+from revisit.service.ports.clock import Clock
 from revisit.service.ports.transactions import UnitOfWork
 from tests.support.memory.access import MemoryAuditTrail, MemoryKeyRing
 from tests.support.memory.repositories import (
@@ -55,9 +57,9 @@ _TABLES = (
 class MemoryUnitOfWork:
     """`UnitOfWork` over a copy of every table."""
 
-    def __init__(self, tables: dict[str, Rows], lease_ms: int, *, sees_all: bool = False) -> None:
+    def __init__(self, tables: dict[str, Rows], lease_ms: int, clock: Clock, *, sees_all: bool = False) -> None:
         """Changes `tables` in place; `sees_all`: also rows of what is being deleted."""
-        self._tables, self._lease_ms = tables, lease_ms
+        self._tables, self._lease_ms, self._clock = tables, lease_ms, clock
         doomed = None if sees_all else Doomed(tables["deletions"])
 
         def of_map(name: str, *key: str, told: ChangeOf[R] | None = None) -> MemoryRepository[Any]:
@@ -88,25 +90,26 @@ class MemoryUnitOfWork:
         self.webhook_deliveries: MemoryRepository[DeliveryRecord] = MemoryRepository(
             tables["webhook_deliveries"], ("number",)
         )
-        self.queue = LeasedJobs(self.jobs, FairTurns(MemoryTenantTurns(tables["turns"], self.jobs)), lease_ms)
+        turns = FairTurns(MemoryTenantTurns(tables["turns"], self.jobs))
+        self.queue = LeasedJobs(self.jobs, turns, lease_ms, clock)
         self.changes = MemoryChangeLog(tables["changes"], tables["submaps"])
-        self.workers = MemoryWorkerLog(tables["workers"])
+        self.workers = MemoryWorkerLog(tables["workers"], clock)
         self.keys = MemoryKeyRing(tables["keys"].by_number)
         self.audit = MemoryAuditTrail(tables["audit"].by_number)
 
     @cached_property
     def everything(self) -> MemoryUnitOfWork:
         """See `UnitOfWork`."""
-        return MemoryUnitOfWork(self._tables, self._lease_ms, sees_all=True)
+        return MemoryUnitOfWork(self._tables, self._lease_ms, self._clock, sees_all=True)
 
 
 class MemoryTransactions:
     """`Transactions` without a disk: a transaction works on a copy, which replaces the original at the end."""
 
-    def __init__(self, lease_ms: int = 10_000) -> None:
+    def __init__(self, lease_ms: int = 10_000, clock: Clock = SystemClock()) -> None:
         """Begins empty."""
         self._tables = {name: Rows() for name in _TABLES}
-        self._lease_ms = lease_ms
+        self._lease_ms, self._clock = lease_ms, clock
         self._lock = threading.Lock()
         self._commits = 0
 
@@ -122,7 +125,7 @@ class MemoryTransactions:
         """See `Transactions`."""
         with self._lock:
             snapshot = self._copy()
-        return work(MemoryUnitOfWork(snapshot, self._lease_ms))
+        return work(MemoryUnitOfWork(snapshot, self._lease_ms, self._clock))
 
     def version(self) -> int | None:
         """See `Transactions`."""
@@ -134,7 +137,7 @@ class MemoryTransactions:
     def _write(self, work: Callable[[UnitOfWork], T]) -> T:
         with self._lock:
             tables = self._copy()
-            result = work(MemoryUnitOfWork(tables, self._lease_ms))
+            result = work(MemoryUnitOfWork(tables, self._lease_ms, self._clock))
             self._tables = tables
             self._commits += 1
             return result

@@ -15,7 +15,6 @@ from revisit.cli.app import run
 from revisit.service.__main__ import main
 from revisit.service.composition import build_context
 from revisit.service.domain.errors import RateLimited
-from revisit.service.domain.records import WorkerRecord
 from revisit.service.engines.local.sqlite.migration import MIGRATIONS, NEWEST_REVISION, current_revision
 from revisit.service.settings import Settings
 from revisit.service.telemetry import configure_logging
@@ -134,8 +133,7 @@ def test_a_worker_that_never_showed_itself_is_not_seen(capsys):
 def test_a_worker_that_beats_is_seen(home):
     main(["migrate"])
     context = build_context(Settings(), gateway=False)
-    now = context.clock.instant()
-    context.transactions.write(lambda uow: uow.workers.beat(WorkerRecord("w", "fake-1", now.epoch, now.ms))).result()
+    context.transactions.write(lambda uow: uow.workers.beat("w", "fake-1")).result()
     context.transactions.close()
     assert main(["seen", "--id", "w"]) == 0
     assert main(["seen", "--id", "other"]) == 78

@@ -63,12 +63,12 @@ async def test_a_worker_that_keeps_too_much_memory_ends_between_two_jobs(world):
 
 async def test_a_worker_that_ends_is_forgotten(world):
     run_worker(world, WorkerLimits(jobs=1, recycled_at_bytes=64 * GIB, job_timeout_s=60))
-    assert world.context.transactions.read(lambda uow: uow.workers.alive("boot-1", 0)).result() == []
+    assert world.context.transactions.read(lambda uow: uow.workers.alive(10_000)).result() == []
 
 
 async def test_a_lease_is_said_to_be_lost_where_it_is_missing_at_two_beats(world):
     context, identity = world.context, WorkerIdentity("w", "fake-1", None)
-    beating = heartbeat.Heartbeat(context.transactions, context.clock, 10_000, world.worker(), identity, 60.0)
+    beating = heartbeat.Heartbeat(context.transactions, 10_000, world.worker(), identity, 60.0)
     ended, lost = world.claim("w"), world.claim("w")
     beating.hold(ended)
     world.worker().run(ended)

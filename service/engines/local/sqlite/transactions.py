@@ -30,6 +30,7 @@ from sqlalchemy.exc import DatabaseError, IntegrityError
 
 from revisit.core.errors import DataLoss
 from revisit.service.domain.errors import StorageFull, StorageUncertain
+from revisit.service.engines.local.clock import SystemClock
 from revisit.service.engines.local.files.disk import FailStop, may_grow, open_lock, try_lock
 from revisit.service.engines.local.sqlite.connections import (
     READER_PRAGMAS,
@@ -44,6 +45,7 @@ from revisit.service.engines.local.sqlite.connections import (
 from revisit.service.engines.local.sqlite.engine import SqliteEngine
 from revisit.service.engines.sql.unit_of_work import SqlUnitOfWork
 from revisit.service.failpoints import failpoint
+from revisit.service.ports.clock import Clock
 from revisit.service.ports.transactions import UnitOfWork
 
 T = TypeVar("T")
@@ -75,6 +77,7 @@ class SqliteTransactions:
         *,
         checkpoints: bool,
         lease_ms: int = 10_000,
+        clock: Clock = SystemClock(),
         fail_stop: FailStop | None = None,
         on_full: Callable[[], None] = lambda: None,
     ) -> None:
@@ -93,6 +96,7 @@ class SqliteTransactions:
         self._engine = SqliteEngine()
         self._lock = WriterLock(path)
         self._lease_ms = lease_ms
+        self._clock = clock
         self._fail_stop = fail_stop or FailStop()
         self._failures = StorageFailures(write_ahead_log(path), self._fail_stop, on_full)
         self._writing = GroupCommitter(self._transaction)
@@ -156,7 +160,7 @@ class SqliteTransactions:
                 connection.close()
 
     def _unit_of_work(self, connection: Connection) -> UnitOfWork:
-        return SqlUnitOfWork(connection, self._engine, self._lease_ms)
+        return SqlUnitOfWork(connection, self._engine, self._lease_ms, self._clock)
 
 
 @dataclass(frozen=True)

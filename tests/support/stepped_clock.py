@@ -1,0 +1,24 @@
+"""A clock that moves when it is told to."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from revisit.service.ports.clock import Instant
+
+
+@dataclass
+class SteppedClock:
+    """`Clock`; the time of day follows `ms` unless `day_ns` says it."""
+
+    epoch: str = "boot-1"
+    ms: int = 1_000_000
+    day_ns: int | None = None
+
+    def wall_ns(self) -> int:
+        """See `Clock`."""
+        return 1_700_000_000_000_000_000 + self.ms * 1_000_000 if self.day_ns is None else self.day_ns
+
+    def instant(self) -> Instant:
+        """See `Clock`."""
+        return Instant(self.epoch, self.ms)
