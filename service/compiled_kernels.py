@@ -21,7 +21,7 @@ STARTED_ANEW = "REVISIT_KERNELS_COMPILED"
 def choose_cache(home: Path) -> Path | None:
     """Name a folder under `home` to numba where the code's own folder is read-only; that folder, None for no need.
 
-    An context that the service may not write to, run by a user without a home directory, leaves numba no place
+    An installation that the service may not write to, run by a user without a home directory, leaves numba no place
     at all, and then it refuses to compile. To be called before numba is imported; a folder that was chosen stays.
     """
     if os.environ.get(CACHE_VARIABLE) or _writable(Path(core.__file__).resolve().parent / "kernels"):

@@ -82,15 +82,15 @@ class StoreMetrics(Collector):
 
     def __init__(self, context: ServiceContext) -> None:
         """Reads from `context`, from the thread that answers."""
-        self._installation = context
+        self._context = context
 
     def collect(self) -> Iterator[Metric]:
         """The families; only that of the index where the database does not answer."""
         drift = CounterMetricFamily("revisit_index_drift", "Submaps of the index that differed from the database.")
-        drift.add_metric([], self._installation.index_health.drift)
+        drift.add_metric([], self._context.index_health.drift)
         yield drift
         try:
-            counts = self._installation.transactions.read(self._count).result()
+            counts = self._context.transactions.read(self._count).result()
         except RevisitError:
             return
         for name, (help_text, label, values) in counts.items():
@@ -110,7 +110,7 @@ class StoreMetrics(Collector):
             for name, (text, table, states) in tables.items()
         }
         alive = uow.workers.alive(WORKER_SEEN_WITHIN_MS)
-        oldest_ns, now_ns = uow.jobs.oldest_queued_ns(), self._installation.clock.wall_ns()
+        oldest_ns, now_ns = uow.jobs.oldest_queued_ns(), self._context.clock.wall_ns()
         waits_s = 0 if oldest_ns is None else max(0, now_ns - oldest_ns) // 10**9
         return {
             **counts,
@@ -119,7 +119,7 @@ class StoreMetrics(Collector):
             "revisit_wal_bytes": (
                 "Size of the database's write-ahead log.",
                 "",
-                {"": self._installation.disk.wal_bytes()},
+                {"": self._context.disk.wal_bytes()},
             ),
         }
 

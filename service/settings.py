@@ -54,7 +54,7 @@ GONE: Mapping[str, str] = {
 
 
 class Settings(AccessSettings):
-    """How this context runs. Field `http_port` is the variable REVISIT_HTTP_PORT, and so on."""
+    """How this installation runs. Field `http_port` is the variable REVISIT_HTTP_PORT, and so on."""
 
     home: Path = Field(default=Path("data"), description="directory of the database and the blobs")
     http_port: int = Field(default=8080, ge=0, le=65535, description="REST port; 0 takes a free one")

@@ -89,7 +89,7 @@ class UseCases:
 
     @classmethod
     def over(cls, of: ServiceContext, version: str, rules: AccessRules = AccessRules()) -> UseCases:
-        """All use cases of an context; `version` is the product's."""
+        """All use cases of an installation; `version` is the product's."""
         storage, clock, policy, streams, decoder = of.storage, of.clock, of.policy, of.open_streams, of.decoder
         backlog, lists = of.backlog, Lists(storage, of.in_flight, PageTokens(of.secret))
         admission = Admission(of.stopping, of.disk, of.in_flight, backlog, of.quota)

@@ -47,7 +47,7 @@ LOOK_S, LOOKS = 0.005, 10
 
 @dataclass(frozen=True)
 class CapacityLimits:
-    """The limits of an context. Rates are points a second, averaged over `burst_s`."""
+    """The limits of an installation. Rates are points a second, averaged over `burst_s`."""
 
     points_per_s: float = 40e6
     tenant_points_per_s: float = 20e6

@@ -1,4 +1,4 @@
-"""The rules of an context, and what a map overrides of them."""
+"""The rules of an installation, and what a map overrides of them."""
 
 from __future__ import annotations
 

@@ -59,7 +59,7 @@ class CertificateGrant:
 
 @dataclass(frozen=True)
 class AccessRules:
-    """How this context recognises callers.
+    """How this installation recognises callers.
 
     Unless `required`, anyone is admitted as long as no key was ever created, no tokens are taken and no certificates
     are mapped. A credential that is shown is verified in any case.

@@ -67,7 +67,7 @@ class PageTokens:
     """
 
     def __init__(self, secret: bytes) -> None:
-        """`secret` is known to this context alone. With another one, tokens given out before are refused."""
+        """`secret` is known to this installation alone. With another one, tokens given out before are refused."""
         self._secret = secret
 
     def after(self, tenant: TenantId, number: int) -> str:

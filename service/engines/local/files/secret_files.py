@@ -1,4 +1,4 @@
-"""Secrets of an context: 32 random bytes in a file of the data folder that only its owner can read."""
+"""Secrets of an installation: 32 random bytes in a file of the data folder that only its owner can read."""
 
 from __future__ import annotations
 
