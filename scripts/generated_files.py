@@ -3,7 +3,7 @@
 proto        revisit/v1/*_pb2*         out of proto/revisit/v1
 parameters   docs/reference/parameters.md   out of core/config.py
 openapi      docs/reference/openapi.json    out of service.rest, and service/web/docs.html out of it
-references   docs/reference/{errors,settings,cli,rest-and-grpc}.md   out of the code they describe
+references   docs/reference/{errors,settings,cli,rest-and-grpc,sdk}.md   out of the code they describe
 async        revisit/sdk/async_client.pyi   out of the groups of calls of the SDK
 decisions    docs/decisions/README.md   out of the decisions' own lines
 """
@@ -85,6 +85,7 @@ def write_references(out: Path) -> None:
         "settings": references.settings,
         "cli": references.command_line,
         "rest-and-grpc": references.interfaces,
+        "sdk": references.sdk,
     }
     for name, page in pages.items():
         _write(out / f"docs/reference/{name}.md", page())

@@ -166,6 +166,57 @@ def interfaces() -> str:
     return _page(parts)
 
 
+CALLS_OF_CLIENT = (
+    "stream", "spooled_stream", "holds_scan", "watch", "watch_corrections", "explain", "delete", "status", "call",
+)  # fmt: skip
+"""Methods of `Client` that are in no group."""
+
+
+def sdk() -> str:
+    """docs/reference/sdk.md."""
+    from revisit.sdk.client import Client
+
+    parts = [
+        "# The Python SDK",
+        (
+            "`from revisit import Client`, or `AsyncClient` for an event loop: the same groups of calls, each awaited "
+            "(`await client.maps.get(\"yard\")`). Both speak REST (`Client(\"http://host:8080\")`) and gRPC "
+            "(`Client.grpc(\"host:8090\")`). Every call raises `revisit.sdk.errors.ApiError`; transforms are (4, 4) "
+            "matrices named `T_target_source`, lengths metres. A call that has a short name can be written by it."
+        ),
+    ]
+    # Nothing is called here: the transport is not used.
+    client = Client(transport=cast(Any, None))
+    short = {value: name for name, value in vars(client).items() if inspect.ismethod(value)}
+    for group, calls in client.groups.items():
+        parts.append(f"## client.{group}")
+        for name, function in inspect.getmembers(type(calls), inspect.isfunction):
+            if not name.startswith("_"):
+                parts.append(f"### client.{group}.{name}")
+                parts.append(_arguments(function))
+                parts.append(_paragraphs(function) + _also(short.get(getattr(calls, name))))
+    parts.append("## client")
+    for name in CALLS_OF_CLIENT:
+        parts += [f"### client.{name}", _arguments(getattr(Client, name)), _paragraphs(getattr(Client, name))]
+    return _page(parts)
+
+
+def _arguments(function: Any) -> str:
+    """The arguments of a method as they are written, without its types."""
+    found = [one for name, one in inspect.signature(function).parameters.items() if name != "self"]
+    plain = [one.replace(annotation=inspect.Parameter.empty) for one in found]
+    return f"`{function.__name__}{inspect.Signature(plain)}`"
+
+
+def _paragraphs(function: Any) -> str:
+    paragraphs = inspect.cleandoc(function.__doc__ or "").split("\n\n")
+    return "\n\n".join(" ".join(paragraph.split()) for paragraph in paragraphs)
+
+
+def _also(name: str | None) -> str:
+    return "" if name is None else f" Short: `client.{name}`."
+
+
 def _rest_parts() -> Iterator[str]:
     from revisit.service.rest.app import create_app
     from revisit.service.use_cases import UseCases
