@@ -106,6 +106,9 @@ class TrackFault:
     loops: int
 
 
+AUDITED = "audited_submaps"
+"""Where the stored summary of a version keeps `OptimisedMap.audited`."""
+
 REFUSED_JOINS = "refused_joins"
 """Where the stored summary of a version keeps them, where there are any."""
 
@@ -130,6 +133,8 @@ class RefusedJoin:
 class OptimisedMap:
     """The most likely poses, what they say of every loop, how well they fit (`chi2` by `degrees_of_freedom`), the
     faults of odometry without which they do, and what surfaces kept apart.
+
+    audited: how many submaps each session, by number, had when its surfaces were last compared with others.
     """
 
     tracks: tuple[OptimisedTrack, ...]
@@ -138,6 +143,7 @@ class OptimisedMap:
     degrees_of_freedom: int
     faults: tuple[TrackFault, ...] = ()
     refused_joins: tuple[RefusedJoin, ...] = ()
+    audited: Mapping[int, int] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

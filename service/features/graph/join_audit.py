@@ -25,6 +25,9 @@ MOST_PAIRS = 40
 LEAST_PAIRS = 8
 """Pairs for one join: fewer where a version has many."""
 
+GROWTH = 0.1
+"""A session is compared again once it has more submaps, by this share, than when it was compared last."""
+
 Sessions = frozenset[int]
 """Numbers of sessions."""
 
@@ -66,7 +69,7 @@ class JoinAudit:
             optimised = self._optimiser.optimise(graph, told)
             more = asked.refused(optimised)
             if not more:
-                return replace(optimised, refused_joins=refused)
+                return replace(optimised, refused_joins=refused, audited=_audited(task))
             refused += more
 
     def refused(self, task: MapTask, told: Told) -> tuple[RefusedJoin, ...]:
@@ -154,16 +157,34 @@ def _ends(task: MapTask) -> Iterator[tuple[int, Sessions]]:
 
 
 def _settled(task: MapTask) -> set[Sessions]:
-    """The pairs of sessions with loops that share a frame of the version in force, which has all of their submaps."""
-    before = {row.session_number: row for row in task.before}
-    frames = {
-        track.session_number: before[track.session_number].frame
+    """The pairs of sessions with loops that share a frame of the version in force and have hardly grown."""
+    frames, grown = {row.session_number: row.frame for row in task.before}, _grown(task)
+    pairs = {pair for _, pair in _ends(task) if not pair & grown and pair <= frames.keys()}
+    return {pair for pair in pairs if len({frames[number] for number in pair}) == 1}
+
+
+def _grown(task: MapTask) -> Sessions:
+    """The sessions that are new, or have more submaps by GROWTH than when their surfaces were compared."""
+    known = _known_submaps(task)
+    return frozenset(
+        track.session_number
         for track in task.graph.tracks
-        if track.session_number in before
-        and set(track.submaps) <= set(PackedSubmaps.of(before[track.session_number].submaps).numbers.tolist())
+        if len(track.submaps) > (1.0 + GROWTH) * known.get(track.session_number, 0)
+    )
+
+
+def _known_submaps(task: MapTask) -> dict[int, int]:
+    """How many submaps each session had when its surfaces were compared, or in a version that does not say it."""
+    return {row.session_number: len(PackedSubmaps.of(row.submaps).numbers) for row in task.before} | dict(task.audited)
+
+
+def _audited(task: MapTask) -> dict[int, int]:
+    """How many submaps each session has that is compared now, and had that is not."""
+    known, grown = _known_submaps(task), _grown(task)
+    return {
+        track.session_number: len(track.submaps) if track.session_number in grown else known[track.session_number]
+        for track in task.graph.tracks
     }
-    pairs = {pair for _, pair in _ends(task)}
-    return {pair for pair in pairs if pair <= frames.keys() and len({frames[number] for number in pair}) == 1}
 
 
 def _has_unsettled(task: MapTask) -> bool:

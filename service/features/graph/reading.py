@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from itertools import groupby
 from typing import Any
 
@@ -15,7 +15,7 @@ from revisit.service.domain.identity import TenantId
 from revisit.service.domain.policy import Policy
 from revisit.service.domain.records import LoopRecord, MapRecord, SessionPosesRecord
 from revisit.service.domain.states import LoopState
-from revisit.service.ports.map_optimiser import MapGraph, SessionTrack, TrackLoop
+from revisit.service.ports.map_optimiser import AUDITED, MapGraph, SessionTrack, TrackLoop
 from revisit.service.ports.transactions import UnitOfWork
 
 _PAGE = 500
@@ -27,7 +27,8 @@ _NO_EVIDENCE: dict[str, Any] = {}
 class MapTask:
     """A map to optimise: its pose graph, its loops in the order of the graph's, and its poses by the version in force.
 
-    `session_ids` are those of the tracks. The loops have no evidence: that is five sixths of what they take.
+    `session_ids` are those of the tracks. The loops have no evidence: that is five sixths of what they take. `audited`
+    is that of the version in force.
     """
 
     map: MapRecord
@@ -35,6 +36,7 @@ class MapTask:
     session_ids: tuple[str, ...]
     loops: tuple[LoopRecord, ...]
     before: tuple[SessionPosesRecord, ...]
+    audited: Mapping[int, int] = field(default_factory=dict)
 
 
 def read_task(uow: UnitOfWork, policy: Policy, tenant: TenantId, map_id: str) -> MapTask | None:
@@ -47,7 +49,10 @@ def read_task(uow: UnitOfWork, policy: Policy, tenant: TenantId, map_id: str) ->
     loops, of_graph = _accepted(uow, tenant, map_id)
     graph = MapGraph(tracks, of_graph, policy.for_map(record).submap.tau)
     before = uow.session_poses.find(tenant, map_id=map_id, version=record.map_version)
-    return MapTask(record, graph, tuple(ids[track.session_number] for track in tracks), loops, tuple(before))
+    version = uow.map_versions.get(tenant, map_id, record.map_version)
+    audited = {} if version is None else {int(one): n for one, n in version.summary.get(AUDITED, {}).items()}
+    session_ids = tuple(ids[track.session_number] for track in tracks)
+    return MapTask(record, graph, session_ids, loops, tuple(before), audited)
 
 
 def _accepted(uow: UnitOfWork, tenant: TenantId, map_id: str) -> tuple[tuple[LoopRecord, ...], tuple[TrackLoop, ...]]:

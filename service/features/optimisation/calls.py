@@ -36,7 +36,7 @@ from revisit.service.features.optimisation.rows import MAP_REVERTED, forget_vers
 from revisit.service.features.resources.paging import Lists, Page, PageRequest
 from revisit.service.features.resources.views import PostedOperation, operation_view
 from revisit.service.ports.clock import Clock
-from revisit.service.ports.map_optimiser import FAULTS
+from revisit.service.ports.map_optimiser import AUDITED, FAULTS
 from revisit.service.ports.storage import Storage, require_map
 from revisit.service.ports.transactions import UnitOfWork
 
@@ -196,7 +196,7 @@ def _view(uow: UnitOfWork, record: MapRecord, row: MapVersionRecord) -> MapVersi
         restored_from=row.restored_from,
         content_hash=hash_of_version(row, hashes),
         operation_id=row.operation_id,
-        summary={name: its for name, its in row.summary.items() if name != FAULTS},
+        summary={name: its for name, its in row.summary.items() if name not in (AUDITED, FAULTS)},
         created_at_ns=row.created_at_ns,
         number=row.number,
     )

@@ -28,6 +28,7 @@ from revisit.service.features.graph.session_poses import (
 from revisit.service.features.loops.rows import Change, change_loops
 from revisit.service.ports.job_queue import Lease
 from revisit.service.ports.map_optimiser import (
+    AUDITED,
     FAULTS,
     REFUSED_JOINS,
     JudgedLoop,
@@ -76,7 +77,8 @@ class VersionCommit:
         version = add_version(uow, current, self.task, self.optimised, summary, operation_id, self.now_ns)
         forget_versions(uow, current.tenant, current.map_id, version - self.policy.map_versions_kept)
         recall_loops(uow, current.tenant, current.map_id, self.policy, self.now_ns)
-        self._end(uow, {"version": f"maps/{current.map_id}/versions/{version}", **summary})
+        told = {name: its for name, its in summary.items() if name != AUDITED}
+        self._end(uow, {"version": f"maps/{current.map_id}/versions/{version}", **told})
 
     def _end(self, uow: UnitOfWork, result: dict[str, Any]) -> None:
         uow.queue.complete(self.lease, result)
@@ -194,6 +196,7 @@ def summary_of(task: MapTask, tracks: Sequence[OptimisedTrack], optimised: Optim
         "mean_change_m": float(changes.mean()) if len(changes) else None,
         "max_change_m": float(changes.max()) if len(changes) else None,
         **({FAULTS: [asdict(fault) for fault in optimised.faults]} if optimised.faults else {}),
+        **({AUDITED: {str(one): count for one, count in optimised.audited.items()}} if optimised.audited else {}),
         **({REFUSED_JOINS: [_stored(task, one) for one in optimised.refused_joins]} if optimised.refused_joins else {}),
     }
 
