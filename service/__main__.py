@@ -30,7 +30,7 @@ def main(arguments: list[str] | None = None) -> int:
         os.environ.setdefault(variable, threads)
     # Workers are started afresh (fork and exec at once), so gRPC need not prepare for a forked copy of itself.
     os.environ.setdefault("GRPC_ENABLE_FORK_SUPPORT", "0")
-    # What libraries start beside this process is started afresh too: a copy of a process with threads may hang.
+    # Processes that libraries start are started afresh too: a copy of a process with threads may hang.
     multiprocessing.set_start_method("spawn", force=True)
     # Files are for this user only.
     os.umask(0o077)
@@ -59,7 +59,7 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def _started(options: argparse.Namespace, settings: Settings) -> int:
-    """Run the command; what it cannot run on is refused in a line."""
+    """Run the command; unusable input is refused in a line."""
     from revisit.service.engines.local.files.filesystem import RemoteFileSystem
     from revisit.service.engines.local.sqlite.migration import ForeignSchema
 
@@ -106,8 +106,8 @@ def _run(options: argparse.Namespace, settings: Settings) -> int:
 
 
 def _tell_start(command: str) -> None:
-    """The first line of the log: what is imported next takes seconds."""
-    import structlog  # not before a worker has left out what it would bring
+    """The first line of the log: the next imports take seconds."""
+    import structlog  # not before a worker has hidden optional libraries
 
     structlog.get_logger(__name__).info("starting", command=command, version=VERSION)
 
@@ -147,7 +147,7 @@ def _serve(settings: Settings) -> int:
 
 
 def _missing_protection(settings: Settings) -> list[str]:
-    """What an address that others can reach lacks; nothing where that was asked for."""
+    """Missing protections of an address that others can reach; none where that was asked for."""
     if not settings.exposed or settings.insecure_bind:
         return []
     missing = [] if settings.tls_certificate else ["TLS (REVISIT_TLS_CERTIFICATE, REVISIT_TLS_KEY)"]

@@ -1,4 +1,4 @@
-"""The part of the settings that decides who may reach and use the service."""
+"""Settings of access to the service."""
 
 from __future__ import annotations
 

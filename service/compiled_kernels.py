@@ -1,6 +1,6 @@
 """Where numba keeps compiled kernels: beside the code where that can be written to, else in the service's home.
 
-A process that has compiled keeps what the compiler took, some 350 MB, for as long as it lives. So it starts anew.
+A process that has compiled keeps the compiler's memory, some 350 MB, for as long as it lives. So it starts anew.
 """
 
 from __future__ import annotations

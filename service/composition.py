@@ -71,7 +71,7 @@ PAGE_SECRET = "pages.key"
 """The file in the data folder that makes the tokens of pages good beyond a restart."""
 
 DRAFTS = "reembedding"
-"""The folder in the data folder of what `revisit reembed` has made so far."""
+"""The folder in the data folder with the drafts of `revisit reembed`."""
 
 INDEX_FILES = "index"
 """The folder in the data folder of the files of large maps' indexes."""
@@ -82,7 +82,7 @@ log = structlog.get_logger(__name__)
 
 
 def build_context(settings: Settings, *, gateway: bool, fail_stop: FailStop | None = None) -> ServiceContext:
-    """What a process is built from. The gateway alone checkpoints the database; a failing disk trips `fail_stop`."""
+    """The context of a process. The gateway alone checkpoints the database; a failing disk trips `fail_stop`."""
     require_local(settings.home)
     policy, disk, switch = settings.policy, build_disk(settings), fail_stop or FailStop()
     in_flight = InFlight(
@@ -114,7 +114,7 @@ def build_context(settings: Settings, *, gateway: bool, fail_stop: FailStop | No
 
 
 def _page_secret(home: Path) -> bytes:
-    """What makes the tokens of pages unreadable. On a full disk it is forgotten at the end, and so are the tokens."""
+    """The key that encrypts page tokens. On a full disk it is kept in memory only, and the tokens end with it."""
     try:
         return kept_secret(home / PAGE_SECRET)
     except (OSError, ValueError) as error:
@@ -171,8 +171,8 @@ def chores(settings: Settings, context: ServiceContext, fail_stop: FailStop) -> 
 
 
 def build_deliveries(settings: Settings, context: ServiceContext) -> Deliveries:
-    """What sends events to webhooks."""
-    from revisit.service.adapters.webhook_sender import HttpWebhookSender  # workers need none of what these bring
+    """The sender of webhooks."""
+    from revisit.service.adapters.webhook_sender import HttpWebhookSender  # workers need none of its libraries
     from revisit.service.calls.push import webhook_body
 
     sender = HttpWebhookSender(private_networks=settings.webhook_private_networks)
@@ -180,7 +180,7 @@ def build_deliveries(settings: Settings, context: ServiceContext) -> Deliveries:
 
 
 def build_tracer(settings: Settings, process: str) -> Tracer:
-    """What makes spans, in a process that is `gateway` or `worker`."""
+    """The tracer of a process that is `gateway` or `worker`."""
     if not settings.otlp_endpoint:
         return NoTracer()
     from revisit.service.adapters.opentelemetry_tracer import otlp_tracer
@@ -189,7 +189,7 @@ def build_tracer(settings: Settings, process: str) -> Tracer:
 
 
 def build_use_cases(context: ServiceContext, settings: Settings) -> UseCases:
-    """What the transports call. Raises ValueError where a file of the access rules cannot be used."""
+    """The use cases, for the transports. Raises ValueError where a file of the access rules cannot be used."""
     return UseCases.over(context, VERSION, access_rules(settings))
 
 
@@ -205,7 +205,7 @@ def offline_use_cases(settings: Settings) -> Iterator[UseCases]:
 
 @contextmanager
 def offline_reembedding(settings: Settings) -> Iterator[Reembedding]:
-    """What brings maps to the installed model, on the database of a service that may or may not run."""
+    """Re-description of maps by the installed model, on the database of a service that may or may not run."""
     context = build_context(settings, gateway=False)
     recogniser, drafts = load_recogniser(settings.recogniser), FileDrafts(settings.home / DRAFTS)
     try:
@@ -261,7 +261,7 @@ def worker_seen(settings: Settings, worker_id: str) -> bool:
 
 
 def load_recogniser(name: str) -> PlaceRecogniser:
-    """What the function `module:function` returns."""
+    """The result of the function `module:function`."""
     module, _, function = name.partition(":")
     return cast(PlaceRecogniser, getattr(importlib.import_module(module), function)())
 

@@ -1,4 +1,4 @@
-"""What one process of the service is built from: its adapters, its rules and its shared state."""
+"""The context of one process of the service: adapters, rules and shared state."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ from revisit.service.ports.transactions import Transactions
 
 @dataclass(frozen=True)
 class ServiceContext:
-    """Given to those who build; a use case is given only those of its parts that it uses."""
+    """Given to builders; a use case gets only the parts that it uses."""
 
     transactions: Transactions
     blobs: BlobStore
@@ -81,12 +81,12 @@ class ServiceContext:
 
     @cached_property
     def erasure(self) -> Erasure:
-        """What deletes the rows of deleted sessions and maps."""
+        """The eraser of deleted sessions and maps."""
         return Erasure(self.storage, BlobCollector(self.storage), self.clock)
 
     @cached_property
     def quota(self) -> StorageQuota | None:
-        """The limit of what a tenant stores, if there is one."""
+        """The storage quota of a tenant, if there is one."""
         most_bytes = self.policy.tenant_storage_bytes
         return None if most_bytes is None else StorageQuota(self.storage, most_bytes)
 
@@ -113,5 +113,7 @@ class ServiceContext:
         return JobRunner(context, jobs)
 
     def index_keeper(self) -> IndexKeeper:
-        """What loads the index and compares it with the database. From now on the service is not ready until then."""
+        """The loader of the index, which also compares it with the database. From now on the service is not ready until
+        then.
+        """
         return IndexKeeper(self.storage, self.index, self.memory, self.index_health, self.disk)

@@ -59,7 +59,7 @@ POINTS = {
 
 
 class Action(StrEnum):
-    """What happens at an armed point."""
+    """The action of an armed point."""
 
     KILL = "kill"
     EXIT = "exit"
@@ -77,7 +77,7 @@ SLEEP_S = 1.0
 
 
 class FailpointReached(RuntimeError):
-    """What the action `raise` raises."""
+    """The error of the action `raise`."""
 
 
 @dataclass(frozen=True)
@@ -93,14 +93,14 @@ _ARM = re.compile(r"(?P<point>[a-z_.]+)=(?P<action>[a-z]+)(?:@(?P<at>[1-9][0-9]*
 
 
 def arm(specification: str) -> None:
-    """Arm what `specification` names and nothing else. Raises ValueError for a point or action that does not exist."""
+    """Arm the points of `specification` and no others. Raises ValueError for a point or action that does not exist."""
     armed = dict(_parsed(part.strip()) for part in specification.split(",") if part.strip())
     _armed.clear()
     _armed.update(armed)
 
 
 def failpoint(point: str) -> None:
-    """The code is at `point` of `POINTS`: do what is armed there, which mostly is nothing.
+    """The code is at `point` of `POINTS`: do the armed action, mostly none.
 
     Raises FailpointReached or OSError where the action says so.
     """

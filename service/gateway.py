@@ -98,7 +98,7 @@ class _Gateway:
             self._status = SERVER_FAILED
         await self._drain(use_cases, http, serving, rpc, supervisor)
         if self._status == STORAGE_FAILED:
-            # All answers are out. What is left to tidy up may hang on the disk, and taking the interpreter down takes
+            # All answers are out. Tidying up may hang on the disk, and taking the interpreter down takes
             # another second, during which no timer ends it.
             log.info("stopped", status=self._status)
             os._exit(self._status)
@@ -144,7 +144,7 @@ class _Gateway:
         rpc: grpc.aio.Server,
         supervisor: WorkerSupervisor,
     ) -> None:
-        """Refuse new work, let what is under way end, within `drain_s` altogether."""
+        """Refuse new work, let running work end, within `drain_s` altogether."""
         log.info("draining")
         tell_supervisor(STOPPING)
         use_cases.system.drain()
@@ -156,7 +156,7 @@ class _Gateway:
 
         def storage_failed() -> None:
             self._status = STORAGE_FAILED
-            # The answer to who asked still goes out, but whatever hangs on the disk does not hold up the end.
+            # The answer still goes out, but a hanging disk does not hold up the end.
             end = threading.Timer(FAIL_STOP_S, os._exit, (STORAGE_FAILED,))
             end.daemon = True
             end.start()
@@ -226,7 +226,7 @@ class _Gateway:
 
 
 def _load_kernels() -> None:
-    """Load what decodes clouds and what compares places, half a second, so that the first to ask need not wait."""
+    """Load decoders and verification, half a second, so that the first request need not wait."""
     from revisit.core.kernels import adapted_cosines
     from revisit.formats import quantised_columns
 

@@ -47,12 +47,12 @@ class RequestMetrics:
         )
 
     def observe(self, transport: str, call: str, status: str, duration_s: float) -> None:
-        """Count one answered request; `call` is a route or an RPC, never what a client chose freely."""
+        """Count one answered request; `call` is a route or an RPC, never a client's free text."""
         self._durations.labels(transport, call, status).observe(duration_s)
 
 
 class LoadMetrics:
-    """How late the event loop is (everything waits as long), and what is taken in now."""
+    """How late the event loop is (everything waits as long); clouds and streams that are taken in now."""
 
     def __init__(self, registry: CollectorRegistry, in_flight: InFlight) -> None:
         self._lag = Histogram(

@@ -1,4 +1,4 @@
-"""This Python, started again: how the service begins its own processes, whatever the working directory holds."""
+"""This Python, started again: how the service begins its own processes, with no import from the working directory."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Secrets in text that is about to leave the process: whatever looks like one is struck out."""
+"""Secrets in text that is about to leave the process: everything that looks like one is struck out."""
 
 from __future__ import annotations
 

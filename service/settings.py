@@ -36,7 +36,7 @@ GROUPS: Mapping[str, tuple[str, ...]] = {
 """The settings of an operator, as the reference page has them."""
 
 FOR_TESTS = ("recogniser", "lease_s", "max_attempts", "jobs_per_worker", "drain_s", "fail")
-"""Settings that tests turn, to have in a second what takes an hour, and nobody else."""
+"""Settings for tests alone, to make an hour a second."""
 
 GONE: Mapping[str, str] = {
     "device": "workers compute on the processor, by compiled code",

@@ -1,4 +1,4 @@
-"""The settings of this process, or what is wrong with its REVISIT_* variables, in words."""
+"""The settings of this process, or the mistakes in its REVISIT_* variables, in words."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The one table: what each error code means on both transports.
+"""The one table of error codes on both transports.
 
 `retryable` tells a client that repeating the same request, with the same ids, is the thing to do. A 4xx was
 definitely not stored; after a 503 or 504 the outcome is unknown and the repeat settles it (docs/decisions/0022).

@@ -1,4 +1,4 @@
-"""What systemd, or another supervisor that gives NOTIFY_SOCKET, is told of this process (sd_notify(3))."""
+"""Notifications to systemd, or another supervisor with NOTIFY_SOCKET (sd_notify(3))."""
 
 from __future__ import annotations
 

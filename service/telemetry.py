@@ -1,4 +1,4 @@
-"""Logs: one JSON object per line on stderr, with whatever ids are bound (request_id, operation, worker)."""
+"""Logs: one JSON object per line on stderr, with the bound ids (request_id, operation, worker)."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def configure_logging(level: str, *, hash_tenants: bool = False) -> None:
         logger_factory=structlog.WriteLoggerFactory(file=sys.stderr),
         cache_logger_on_first_use=True,
     )
-    # Libraries log through the standard module: only what matters of it, on the same stream, in the same form.
+    # Libraries log through the standard module: only warnings and above, on the same stream, in the same form.
     handler = logging.StreamHandler(sys.stderr)
     handler.setFormatter(_JsonLine())
     logging.basicConfig(level=max(number, logging.WARNING), handlers=[handler], force=True)

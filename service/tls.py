@@ -22,7 +22,7 @@ def http_context(settings: AccessSettings) -> ssl.SSLContext | None:
 
 
 def grpc_credentials(settings: AccessSettings) -> grpc.ServerCredentials | None:
-    """The credentials of the gRPC side (whose least version is 1.2), None without a certificate. Raises OSError."""
+    """The credentials of the gRPC side (TLS 1.2 at least), None without a certificate. Raises OSError."""
     if settings.tls_certificate is None or settings.tls_key is None:
         return None
     import grpc

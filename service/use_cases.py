@@ -1,15 +1,4 @@
-"""The use cases, in folders by what they are about, and the ports they need. REST and gRPC call these and nothing else.
-
-    contract       names, records, errors, limits, ports
-    capacity       whether a request is accepted now: rate limits, in-flight, backlog
-    access         who calls: authentication, API keys, the audit log
-    ingest         scans and submaps coming in
-    catalogue      maps, robots, sessions, submaps: create, get, list, delete
-    query          searches, loop closures, operations
-    push           watching the events of a map; webhooks
-    mapping        one map out of many sessions: versions of its poses, merges, corrections, decisions on loops
-    housekeeping   sweeping, retention, the index, dead letters, readiness
-    recognise      what a worker does with a job
+"""The use cases of `features`, a folder a feature. REST and gRPC call these and nothing else.
 
 Every call takes the tenant first; a resource of another tenant is NotFound. Calls that change something return after
 the commit; a caller that goes away does not undo it. Errors are `core.errors.RevisitError` subclasses.

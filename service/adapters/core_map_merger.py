@@ -1,4 +1,4 @@
-"""`core.merge` behind the merger port. What it stands on is loaded by the first merge."""
+"""`core.merge` behind the merger port. Its libraries are loaded by the first merge."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ REACH_M = 25.0
 """Submaps farther apart are not compared, metres in a scene of the size of a street."""
 
 MOST_COMPARED = 100
-"""Pairs of submaps whose surfaces are compared, spread over the whole overlap: 0.1 s of a core each."""
+"""Pairs of submaps for the comparison of surfaces, spread over the whole overlap: 0.1 s of a core each."""
 
 HELD_MAPS = 64
 """Neural maps that are kept decoded: neighbours are compared one after another."""

@@ -1,4 +1,4 @@
-"""The pose graph of `core` behind the optimiser port. What it stands on is loaded by the first map that needs it."""
+"""The pose graph of `core` behind the optimiser port. Its libraries are loaded by the first map that needs it."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class CoreMapOptimiser:
         """See `MapOptimiser`."""
         from revisit.service.adapters.core_solved_map import CoreSolvedMap
 
-        return_free_memory()  # its equations lie beside what earlier work has left, not in it
+        return_free_memory()  # its equations lie beside the free memory of earlier work, not in it
         named = NamedGraph.of(graph)
         return CoreSolvedMap(graph, named.posed, named.names, tracks)
 
@@ -55,8 +55,8 @@ class CoreMapOptimiser:
 class NamedGraph:
     """A map's graph as `core.pose_graph` takes it; `names` are those of its tracks.
 
-    Names follow from odometry and measurements, not from numbers: the same sessions give the same poses, whatever order
-    or map they came in.
+    Names follow from odometry and measurements, not from numbers: the same sessions give the same poses, in any order
+    and any map.
     """
 
     graph: MapGraph
@@ -89,7 +89,7 @@ class NamedGraph:
         return _edges(loops, self._nodes)
 
     def answer(self, optimised: OptimisedGraph) -> OptimisedMap:
-        """What the port answers."""
+        """The answer of the port."""
         tracks = tuple(self._track(track, optimised) for track in self.graph.tracks)
         judged = {
             loop_number(loop): JudgedLoop(loop_number(loop), GraphState(state.value), float(distance))
@@ -125,7 +125,7 @@ def loop_number(loop: LoopEdge) -> int:
 
 
 def _names(tracks: tuple[SessionTrack, ...]) -> dict[int, str]:
-    """Names of tracks whose alphabetical order follows from their odometry; of equal ones from their numbers."""
+    """Names of tracks, in alphabetical order by their odometry; of equal ones by their numbers."""
     ordered = sorted(tracks, key=lambda track: (_digest(track.T_odom_submap), track.session_number))
     return {track.session_number: f"{rank:09d}" for rank, track in enumerate(ordered)}
 

@@ -35,7 +35,7 @@ worker serves several robots by turns (docs/decisions/0289). 0.1 MB each, and 4 
 """
 
 PLACES_PREPARED = 24
-"""Places of these that are kept with what verification has made of them: 1.3 MB more each, and 2 ms. A job asks most of
+"""Places of these that are kept with their derived data of verification: 1.3 MB more each, and 2 ms. A job asks most of
 its candidates twice, and few that an earlier job had asked (docs/decisions/0289).
 """
 
@@ -106,17 +106,17 @@ class CoreRecogniser:
         return verify(*places, similarity, config.verification, near, near_decides=near_decides, expected=expected)
 
     def let_go(self) -> None:
-        """See `PlaceRecogniser`. Places stay as they were read: that takes longer than what is made of them."""
+        """See `PlaceRecogniser`. Places stay as they were read: reading takes longer than deriving."""
         self._place.cache_clear()
-        return_free_memory()  # whoever asked for room gets what lies idle, too
+        return_free_memory()  # a caller that needs room gets idle memory, too
 
     def _unprepared(self, blob: bytes) -> Place:
-        """A place of its own over the arrays of the one that was read: what is computed of it goes with it."""
+        """A place of its own over the arrays of the one that was read: derived data goes with it."""
         return dataclasses.replace(self._read(blob))
 
 
 def load_recogniser() -> CoreRecogniser:
-    """The recogniser that the workers use: what is compiled at first use is compiled by now."""
+    """The recogniser of the workers, with all its kernels compiled."""
     recogniser = CoreRecogniser(load_packaged_models())
     rehearse(recogniser)
     pack_intermediate_code()
@@ -124,12 +124,12 @@ def load_recogniser() -> CoreRecogniser:
 
 
 def accompany_worker() -> None:
-    """Compile, in a process of its own, what a worker begins to compile at the other end."""
+    """Compile in a process of its own, from the other end of the worker's list."""
     accompany(CoreRecogniser(load_packaged_models()))
 
 
 def _disagreement_of(place: bytes | None) -> ScanDisagreement | None:
-    """What the scans of a stored place disagree on (docs/decisions/0081); None where nothing readable says so."""
+    """Disagreement of the scans of a stored place (docs/decisions/0081); None where it is not readable."""
     if place is None:
         return None
     try:

@@ -1,4 +1,4 @@
-"""`core.merge.tiles` behind the port of tiles. What it stands on is loaded by the first tile."""
+"""`core.merge.tiles` behind the port of tiles. Its libraries are loaded by the first tile."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ class CoreTileMaker:
         return distances_m(_decoded(neural_map), points)
 
     def _neural_map(self, sha256: str, read: Callable[[str], bytes]) -> NeuralMap:
-        """A neural map by its hash, which is the same whoever asks."""
+        """A neural map by its hash, independent of the tenant."""
         blob = read(sha256) if sha256 not in self._held else b""
         found = self._held.pop(sha256, None) or _decoded(blob)
         self._held[sha256] = found

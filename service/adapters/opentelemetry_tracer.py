@@ -20,7 +20,7 @@ _KINDS = {Role.REQUEST: trace.SpanKind.SERVER, Role.JOB: trace.SpanKind.CONSUMER
 
 
 class OpenTelemetryTracer:
-    """`Tracer` whose spans go to a processor."""
+    """`Tracer` with a processor for its spans."""
 
     def __init__(self, processor: SpanProcessor, process: str) -> None:
         """`process` says which of the service's processes this is: gateway or worker."""

@@ -1,8 +1,8 @@
 """Everything that is compiled in a worker, done once before it takes jobs (docs/decisions/0289).
 
-What it compiled in the middle of its life would cost a job some seconds, and the worker memory for good. The compiler
-keeps what it has made: where several workers start and nothing is there yet, they begin at different ends, and each
-loads what the other has compiled. A worker that starts alone has another process do so (docs/decisions/0289).
+Compiling in the middle of its life would cost a job some seconds, and the worker memory for good. The compiler caches
+its code: where several workers start with an empty cache, they begin at different ends, and each loads the other's
+code. A worker that starts alone has another process do so (docs/decisions/0289).
 """
 
 from __future__ import annotations
@@ -61,10 +61,10 @@ Step = Callable[[], object]
 
 
 def rehearse(recogniser: PlaceRecogniser) -> None:
-    """Do once what a worker does with scans, submaps, pairs, maps, meshes and poses: the last first, where another
+    """Do each kind of a worker's work once (scans, submaps, pairs, maps, meshes, poses): the last first, where another
     process does so already. One that is alone, with a core to spare, and has to compile gets a companion that does.
 
-    Whether what is made up can be described does not matter. A fault that matters will show on a real submap.
+    Whether the made-up scene can be described does not matter. A fault that matters will show on a real submap.
     """
     steps = _steps(recogniser)
     with _ends() as (beginning, end):
@@ -155,12 +155,14 @@ def _end_a_stream() -> None:
 
 
 def _has_compiled(kernel: Any) -> bool:
-    """Whether this process has compiled a kernel, and not loaded what another one had."""
+    """Whether this process has compiled a kernel, and not loaded another one's code."""
     return bool(kernel.stats.cache_misses)
 
 
 def _describe_again(recogniser: PlaceRecogniser) -> None:
-    """Describe what a neural map shows: the larger part of describing scans. And ask for its field, as merging does."""
+    """Describe the surface of a neural map: the larger part of describing scans. And ask for its field, as merging
+    does.
+    """
     points, normals, _ = _yard(0)
     positions, hits = points.astype(np.float32), np.full(len(points), 2, np.int32)
     known = NeuralPoints.remembered(positions, normals.astype(np.float32), hits, 3)
@@ -187,7 +189,7 @@ def _verify(recogniser: PlaceRecogniser) -> None:
 
 
 def _draw() -> None:
-    """Compress a mesh; the gateway, which does so for those who ask for one, loads what was compiled here."""
+    """Compress a mesh; the gateway, which does so on request, loads the code compiled here."""
     x, y = np.meshgrid(np.arange(20.0), np.arange(20.0))
     vertices = np.column_stack([x.ravel(), y.ravel(), np.sin(x + y).ravel()]).astype(np.float32)
     corners = np.arange(399).reshape(-1, 1) + np.array([0, 1, 20])

@@ -14,7 +14,7 @@ from revisit.service.domain.identity import TenantId
 from revisit.service.ports.disk import DiskSpace
 
 CREATION_POINTS = 100_000
-"""What a new map, session, robot or webhook costs: five times the 2 ms for which its commit holds the only writer, so
+"""Cost of a new map, session, robot or webhook: five times the 2 ms for which its commit holds the only writer, so
 that one key has a fifth of it (see docs/decisions/0172)."""
 
 
@@ -29,7 +29,7 @@ class Admission:
         backlog: Backlog,
         quota: StorageQuota | None,
     ) -> None:
-        """`stopping` is set when the service begins to stop; `quota` is None where tenants may store what they like."""
+        """`stopping` is set when the service begins to stop; `quota` is None where tenants have no bound of storage."""
         self._stopping = stopping
         self._disk = disk
         self._in_flight = in_flight
@@ -72,12 +72,12 @@ class Admission:
         self._in_flight.charge_call(tenant, points)
 
     def charge_creation(self, tenant: TenantId) -> None:
-        """Charge what makes a row that stays. Raises Draining; RateLimited, and charges nothing."""
+        """Charge a call that makes a lasting row. Raises Draining; RateLimited, and charges nothing."""
         self.require_running()
         self.charge_call(tenant, CREATION_POINTS)
 
     def precheck_cloud(self, tenant: TenantId) -> None:
-        """What can be checked before a cloud is read. Raises Draining, RateLimited, WorkersBusy."""
+        """The checks before a cloud is read. Raises Draining, RateLimited, WorkersBusy."""
         self.require_running()
         self._in_flight.check_rate(tenant)
         self._in_flight.check_slot(tenant)

@@ -13,7 +13,7 @@ from revisit.service.domain.identity import TenantId
 MIB = 2**20
 
 BUDGET_BYTES = 112 * MIB
-"""With what the process needs by itself, and what decoding takes for a moment, it stays below 768 MiB."""
+"""With the process's own memory and the peak of decoding it stays below 768 MiB."""
 
 TENANT_SHARE = 0.75
 
@@ -25,7 +25,7 @@ RETRY_S = 2.0
 
 
 class HeldBytes:
-    """What one request holds of the budget."""
+    """One request's share of the budget."""
 
     def __init__(self, budget: ByteBudget, tenant: TenantId) -> None:
         self._budget = budget
@@ -39,7 +39,7 @@ class HeldBytes:
         self.set(count)
 
     def set(self, count: int) -> None:
-        """Hold `count` bytes from now on. Raises WorkersBusy, and holds what it held, where there is no room."""
+        """Hold `count` bytes from now on. Raises WorkersBusy, and keeps its former share, where there is no room."""
         self._budget.take(self._tenant, count - self.bytes)
         self.bytes = count
 
@@ -61,7 +61,7 @@ class ByteBudget:
 
     @contextmanager
     def hold(self, tenant: TenantId) -> Iterator[HeldBytes]:
-        """What one request of `tenant` holds, nothing at first; all of it is given back at the end of the block."""
+        """The share of one request of `tenant`, nothing at first; all of it is released at the end of the block."""
         held = HeldBytes(self, tenant)
         try:
             yield held

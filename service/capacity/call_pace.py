@@ -1,7 +1,7 @@
-"""How many calls may begin each second. Whoever begins more waits, and is refused only where many wait already.
+"""The pace of calls: how many may begin each second. Further calls wait, and are refused only where many wait already.
 
-A call costs the event loop about a millisecond, refused or not, and answers do not stop who sends the next call at
-once. Rate limits in points cannot help: what is refused by them costs that millisecond again.
+A call costs the event loop about a millisecond, refused or not, and an answer does not stop a client from sending the
+next call at once. Rate limits in points cannot help: a refused call costs that millisecond again.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ class PaceLimits:
     """About a quarter of one core."""
     tenant_calls_per_s: float = 450.0
     over_rate_calls_per_s: float = 110.0
-    """Of a client that sends more than its rate limit takes: ten times what a service takes of large clouds."""
+    """Of a client that sends more than its rate limit takes: ten times the large clouds that a service takes."""
     refusals_per_s: float = 100.0
     """Of one address, to callers that nobody knows."""
     public_calls_per_s: float = 100.0
@@ -105,7 +105,7 @@ class CallPace:
         await wait_while(partial(self._others_wait, tenant), LOOK_S, LOOKS, self._sleep)
 
     def note_refused(self, tenant: TenantId, client: str) -> None:
-        """The client was told to come back later: whoever does not wait by itself waits here."""
+        """The client was told to come back later: if it does not wait by itself, it waits here."""
         _remember(self._refused_until_s, ("over rate", tenant, client), self._now_s() + REFUSED_FOR_S)
 
     def note_unread(self, tenant: TenantId, client: str, unread_bytes: int) -> None:
@@ -159,14 +159,14 @@ class CallPace:
 def bucket_of(
     buckets: dict[tuple[str, ...], TokenBucket], holder: tuple[str, ...], per_s: float, burst: float, now_s: float
 ) -> TokenBucket:
-    """The bucket of a holder, who is now the last to be forgotten; a full one of a holder that is not known."""
+    """The bucket of a holder, now the last to be forgotten; a full one for an unknown holder."""
     bucket = buckets.get(holder) or TokenBucket.full(per_s, burst, now_s)
     _remember(buckets, holder, bucket)
     return bucket
 
 
 def _remember(known: dict[tuple[str, ...], Known], caller: tuple[str, ...], what: Known) -> None:
-    """Know that of the caller, who is now the last to be forgotten."""
+    """Remember the caller, now the last to be forgotten."""
     known.pop(caller, None)
     known[caller] = what
     if len(known) > MOST_BUCKETS:

@@ -1,6 +1,6 @@
 """The slot of each call: kinds of calls have slots of their own, and tenants share them, over either transport.
 
-Without this, whoever opens enough calls that last closes the port to everyone. A call that waits gives its slot to
+Without this, one client with enough long calls closes the port to everyone. A call that waits gives its slot to
 others for as long and holds one of those for waits.
 """
 
@@ -24,7 +24,7 @@ class CallLimits:
     """Calls that wait for an operation, for submaps, for a tile, or for a worker's answer."""
     watches: Share = Share("watches", 128, 64, 32)
     streams: Share = Share("streams", 320, 256, 64)
-    """Those that have not said yet what they are for, too; `CapacityLimits` bounds those that have."""
+    """Calls of any kind, also before their kind is known; `CapacityLimits` bounds each kind."""
 
     @property
     def total(self) -> int:
@@ -70,7 +70,7 @@ class _Call:
 
     @contextmanager
     def as_one_of(self, kind: Slots) -> Iterator[None]:
-        """Hold a slot of `kind` instead until the block ends. Raises RateLimited, and holds what it held."""
+        """Hold a slot of `kind` instead until the block ends. Raises RateLimited, and keeps its slot."""
         if self.kind is kind:
             yield
             return
@@ -93,10 +93,10 @@ class Wait:
     """A wait for which somebody still asks, or not."""
 
     abandoned = False
-    """Whether the client has left: nobody reads what comes of it."""
+    """Whether the client has left: nobody reads the answer."""
 
     def abandon(self, watch: asyncio.Task[None]) -> None:
-        """The client has left, or what it sends is no request any longer."""
+        """The client has left, or sends no valid request any longer."""
         self.abandoned = True
         if not watch.cancelled():
             watch.exception()
@@ -122,7 +122,7 @@ def waiting() -> Iterator[Wait]:
 
 @contextmanager
 def watching() -> Iterator[None]:
-    """Within the block the current call tells what happens: it holds a slot for watches. Raises RateLimited."""
+    """Within the block the current call is a watch and holds a slot for watches. Raises RateLimited."""
     call = _CALL.get()
     with call.as_one_of(call.slots.watches):
         yield

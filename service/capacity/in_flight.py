@@ -1,7 +1,7 @@
 """Work in flight: rate limits in points a second, the clouds and streams that are open, and turns of the tenants.
 
 A request beyond a limit is refused at once and told when to come back, so that accepted requests stay fast under
-overload. The unit of a rate limit is the point, because a request costs what its points cost.
+overload. The unit of a rate limit is the point, because the cost of a request grows with its points.
 """
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ from revisit.service.domain.errors import RateLimited, WorkersBusy
 from revisit.service.domain.identity import TenantId
 
 CALL_POINTS = 1_000
-"""What a request is charged beside its points."""
+"""Charge of a request beside its points."""
 
 POINTS_PER_S = 10_000_000
-"""What a second of a core is worth: a point is a tenth of a microsecond."""
+"""Points a second of a core: a point is a tenth of a microsecond."""
 
 BUSY_RETRY_S = 1.0
 """When to come back where all slots are taken."""
@@ -131,7 +131,7 @@ class InFlight:
     ) -> None:
         """`client` names the caller of the current request within its tenant; `now_s` is a monotonic clock, seconds.
 
-        `note_refused` is told whom a rate limit refuses; `sleep` waits for so many seconds.
+        `note_refused` gets the caller that a rate limit refuses; `sleep` waits for so many seconds.
         """
         self.limits = limits
         self._client = client
@@ -284,7 +284,7 @@ class InFlight:
         self._charge_difference(reservation, points)
 
     def _charge_difference(self, reservation: _Reservation, points: int) -> None:
-        """Charge, or refund, the difference to what was prepaid; another cloud may wait for a decoder."""
+        """Charge, or refund, the difference to the prepayment; another cloud may wait for a decoder."""
         reservation.decoded = True
         self._charge(reservation.tenant, points - reservation.prepaid)
         self._undecoded[reservation.tenant] -= 1

@@ -1,4 +1,4 @@
-"""Newcomers: connections that have not shown yet who they are, bounded by the address that they come from.
+"""Unauthenticated connections, bounded by their source address.
 
 Bounded in how many there are at the same time, and in how many begin a second: a connection that asks for one thing
 costs more than a millisecond, and thousands a second leave no time for others.
@@ -20,11 +20,12 @@ from revisit.service.capacity.call_pace import MOST_BUCKETS, bucket_of
 from revisit.service.capacity.in_flight import TokenBucket
 
 ADDRESS_NEWCOMERS = 256
-"""Of one address at the same time. Behind one address may be a fleet or a proxy, whose newcomers stay so for some
-milliseconds; half of what the HTTP side lets in."""
+"""Of one address at the same time. Behind one address may be a fleet or a proxy, and its connections stay
+unauthenticated for some milliseconds; half the bound of the HTTP side.
+"""
 
 NETWORK_BITS = 64
-"""Of an IPv6 address: whoever has one has all that begin alike."""
+"""Of an IPv6 address: the holder of one has all that begin alike."""
 
 NETWORK_BITS_OF_IPV4 = 24
 """Addresses that begin alike have a pace together, too."""
@@ -37,7 +38,7 @@ Leave = Callable[[], None]
 
 
 class Shown(StrEnum):
-    """What a connection has shown of itself."""
+    """A connection's credentials so far."""
 
     NOTHING = "nothing"
     READINESS = "readiness"
@@ -50,7 +51,7 @@ class Shown(StrEnum):
 class ArrivalRates:
     """Connections that may begin a second, and `burst_s` times as many at once.
 
-    Those that are vouched for do not count: a fleet behind one address whose robots show their keys never comes near.
+    Authenticated ones do not count: a fleet behind one address, with keys, never comes near.
     """
 
     stranger_per_s: float = 30.0
@@ -90,7 +91,7 @@ class Newcomers:
     def may_begin(self, address: str, shown: Shown = Shown.NOTHING) -> bool:
         """Whether a connection from an address may begin now; then it counts, until it is vouched for.
 
-        What a connection has shown of itself has a pace of its own.
+        Connections with and without credentials have each a pace of their own.
         """
         buckets, now_s = self._buckets_of(address, shown), self._now_s()
         if any(bucket.wait_s(now_s, 1.0) > 0.0 for bucket in buckets):
@@ -143,7 +144,7 @@ class Newcomers:
         return hashlib.blake2b(credential.encode(), digest_size=16, key=self._secret).digest()
 
     def arrive(self, address: str, leave: Leave) -> Callable[[], None]:
-        """One more, which `leave` ends; returns what to call, once or more, when it is no newcomer any longer."""
+        """Count one more; returns the function to call, once or more, when it is authenticated or closed."""
         holder, number = holder_of(address), next(self._numbers)
         here = self._by_holder.setdefault(holder, {})
         here[number] = leave
@@ -164,7 +165,7 @@ class Newcomers:
 
 @lru_cache(MOST_BUCKETS)
 def holder_of(address: str) -> str:
-    """Whom an address stands for: itself, or the network that an IPv6 address is in."""
+    """The holder of an address: itself, or the network of an IPv6 address."""
     try:
         known = ipaddress.ip_address(address)
     except ValueError:

@@ -1,4 +1,4 @@
-"""Slots: how many calls, waits and watches may be open at the same time, shared between those who hold them."""
+"""Slots: how many calls, waits and watches may be open at the same time, shared between their holders."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class Share:
     names: tuple[str, str] = ("tenant", "client")
 
     def beside(self, others: int) -> int:
-        """Slots that one group may hold beside `others` of other groups: its share of what they leave.
+        """Slots that one group may hold beside `others` of other groups: its share of the rest.
 
         The last ones are kept for groups that hold none, one for each.
         """

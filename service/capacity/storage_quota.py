@@ -1,7 +1,7 @@
 """How much a tenant may store, by the points of its clouds.
 
 Counted from rows: 12 bytes a point, as a cloud has them before it is compressed, so that a client can reckon with it;
-what the service derives (meshes, descriptors) is not counted. A sum is kept in memory and made anew where it says that
+derived data (meshes, descriptors) is not counted. A sum is kept in memory and made anew where it says that
 the quota is reached, at most once a second a tenant.
 """
 
@@ -25,7 +25,7 @@ FREED_S = 60.0
 
 
 class StorageQuota:
-    """What each tenant has stored, as last counted, and the limit."""
+    """Stored bytes of each tenant, as last counted, and the limit."""
 
     def __init__(self, storage: Storage, most_bytes: int, now_s: Callable[[], float] = time.monotonic) -> None:
         """A tenant stores at most `most_bytes`; clouds under way may go beyond it."""

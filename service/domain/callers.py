@@ -1,4 +1,4 @@
-"""Who asks: the caller of a request, what it may do, and whose resources it may see."""
+"""Callers of requests: scopes, and the tenant whose resources they may see."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from revisit.service.domain.identity import DEFAULT_TENANT, TenantId
 
 @dataclass(frozen=True)
 class Caller:
-    """A tenant's client whose credential was verified. `name` is what the audit log calls it."""
+    """A tenant's client with a verified credential. `name` is its name in the audit log."""
 
     tenant: TenantId
     name: str
@@ -28,10 +28,10 @@ class Caller:
 
 
 ANYONE = Caller(DEFAULT_TENANT, "anyone", frozenset(Scope))
-"""Whoever asks while authentication is off."""
+"""The caller while authentication is off."""
 
 LOCAL_OPERATOR = "operator"
-"""Whoever works on the database without the service: the command line."""
+"""The command line, which works on the database without the service."""
 
 _CALLER: ContextVar[Caller] = ContextVar("caller")
 
@@ -43,7 +43,7 @@ def enter(caller: Caller) -> None:
 
 
 def current_tenant() -> TenantId:
-    """Whose resources the request is about. Raises Unauthenticated where nobody was admitted."""
+    """The tenant of the request. Raises Unauthenticated where nobody was admitted."""
     caller = _CALLER.get(None)
     if caller is None:
         raise Unauthenticated
@@ -57,6 +57,6 @@ def current_tenant_or_none() -> TenantId | None:
 
 
 def current_actor() -> str:
-    """Who is to be named for what this request changes."""
+    """The actor of this request's changes."""
     caller = _CALLER.get(None)
     return LOCAL_OPERATOR if caller is None else caller.name

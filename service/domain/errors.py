@@ -1,4 +1,4 @@
-"""What the service refuses, beyond what the core refuses: the same codes, the same base class."""
+"""The service's own errors, beside those of the core: the same codes, the same base class."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ class WorkersBusy(Unavailable):
 
 
 class StillDeleting(Unavailable):
-    """What had this id is being deleted, portion by portion: the id is free again soon. Try again with the same id."""
+    """The former resource of this id is being deleted: the id is free again soon. Try again with the same id."""
 
     code = ErrorCode.WORKERS_BUSY
 
@@ -140,7 +140,7 @@ class StaleLease(RevisitError):
 
 
 def error_of(code: str, message: str) -> RevisitError:
-    """The error that a worker wrote down, to be raised again for the client who waits."""
+    """The stored error of a worker, to be raised again for the waiting client."""
     error = RevisitError(message)
     error.code = ErrorCode(code)
     return error

@@ -1,7 +1,7 @@
-"""Events: a log of what happens in the maps, written in the transaction that makes it happen.
+"""Events: a log of the changes in the maps, written in the transaction of the change.
 
-A row names a resource; its content is read when somebody asks. Whoever knows the number of the last event that it saw
-goes on behind it, after a lost connection or a restart, without loss and without doubles.
+A row names a resource; its content is read on request. A reader goes on behind the number of its last event, after a
+lost connection or a restart, without loss and without doubles.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ AMBIGUOUS = "AMBIGUOUS"
 """The reason of a loop closure that was rejected because other poses fit as well (docs/decisions/0080)."""
 
 WAITED_FOR = frozenset({OperationKind.SEARCH_CLOUD.value, OperationKind.LOCALIZE.value})
-"""Operations whose client waits for the answer: nobody else is told."""
+"""Operations with a waiting client: they make no event."""
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,9 @@ class EventLog(Protocol):
         ...
 
     def following(self, tenant: TenantId, number: int, limit: int, map_id: str | None = None) -> list[EventRecord]:
-        """At most `limit` rows of a tenant above `number`, by number; of one map, with what concerns every map."""
+        """At most `limit` rows of a tenant above `number`, by number; of one map, with the events that concern every
+        map.
+        """
         ...
 
     def newest_of_maps(self, number: int) -> list[EventRecord]:

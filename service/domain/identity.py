@@ -1,4 +1,4 @@
-"""Names: who asks (tenant), what they call their things (client-chosen ids), and what counts as the same content."""
+"""Names: tenants, ids that clients choose, and the identity of content."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ RESERVED_SUBMAP_PREFIX = "scans-"
 """Submaps cut from a stream of scans are named `scans-FIRST-LAST`; clients may not choose such ids."""
 
 _ID = re.compile(limits.ID_PATTERN, re.ASCII)
-# What Windows cannot have as the name of a file: downloads and exports are named after their resources.
+# Names that Windows forbids for a file: downloads and exports are named after their resources.
 _NO_FILE_NAME = re.compile(r"(?:con|prn|aux|nul|com[0-9]|lpt[0-9])(?:\..*)?|.*\.", re.ASCII | re.IGNORECASE)
 
 

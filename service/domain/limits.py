@@ -1,4 +1,4 @@
-"""Every bound of what a client may send, stated once.
+"""Every bound of a client's input, stated once.
 
 The use cases check them. REST schemas, the OpenAPI description and the comments of the proto files repeat them,
 and a test compares them. Bounds of whole messages, which a transport must know before it reads one, stay with it.
@@ -57,7 +57,7 @@ MODEL_VERSION_CHARACTERS = 100
 STOREY_CHARACTERS = 64
 """Of the storey of a session."""
 NOTE_CHARACTERS = 1000
-"""Why a person decided what they decided."""
+"""A person's reason for a decision."""
 
 # Maps
 TAU_M = Range(0.1, 1000.0, "metres")
@@ -79,7 +79,7 @@ SCAN_POINTS = 500_000
 SUBMAP_POINTS = 2_000_000
 """Of a posted submap and of a query by cloud."""
 ASCII_CLOUD_BYTES = 8 * 2**20
-"""Numbers as text cost a hundred times what the same points in binary do: about 0.3 s of a core per megabyte."""
+"""Numbers as text cost a hundred times as much as the same points in binary: about 0.3 s of a core per megabyte."""
 
 # Searches
 K = Range(1, 100)

@@ -1,4 +1,4 @@
-"""What an operator may decide about loop closures: how many candidates are verified, and when one is accepted."""
+"""An operator's rules for loop closures: the number of candidates to verify, and the conditions of acceptance."""
 
 from __future__ import annotations
 

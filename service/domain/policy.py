@@ -1,4 +1,4 @@
-"""The rules of an installation, and what a map overrides of them."""
+"""The rules of an installation, and a map's overrides."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class Policy:
     webhook_private_networks: bool = False
 
     def for_map(self, record: MapRecord) -> PipelineConfig:
-        """The parameters of the method with what the map overrides."""
+        """The parameters of the method with the map's overrides."""
         return self.pipeline.of_map(
             record.scene_scale,
             submap={"tau": record.tau_m, "stride": record.stride_m},

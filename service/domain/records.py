@@ -1,4 +1,4 @@
-"""Rows: what the database keeps of each noun. Every record belongs to a tenant and has a `number`.
+"""Records: one database row of each noun. Every record belongs to a tenant and has a `number`.
 
 Numbers are given out by the store when a record is added (0 before), grow with every add, and are never used twice,
 so they order lists, page them and stand for a record in the vector index. Poses are 16 floats, row-major.
@@ -126,7 +126,7 @@ class ScanRecord:
 
 @dataclass(frozen=True)
 class SubmapRecord:
-    """A submap: one cloud blob, or the scans first_seq..last_seq; and what a worker found out about it."""
+    """A submap: one cloud blob, or the scans first_seq..last_seq; and a worker's results."""
 
     tenant: TenantId
     map_id: str
@@ -203,7 +203,7 @@ class LoopRecord:
 
 @dataclass(frozen=True)
 class LoopEventRecord:
-    """A change of a loop closure: what it was made (`state`, `reason`, `graph_state`), by whom, and why.
+    """A change of a loop closure: the new `state`, `reason` and `graph_state`, the actor and the note.
 
     `kind` is a `LoopEventKind`; `details` is JSON: thresholds and model version of a verdict, the distance from the
     poses of a version of the map. The ends are those of the loop, with which its events are deleted.
@@ -231,7 +231,7 @@ class LoopEventRecord:
 
 @dataclass(frozen=True)
 class MapVersionRecord:
-    """A version of a map's poses (see `SessionPosesRecord`), and what it says of each loop, packed.
+    """A version of a map's poses (see `SessionPosesRecord`), and its verdict on each loop, packed.
 
     `loops` holds, of every loop that it judged, its number, its state and its squared distance from the poses (see
     `contract.session_poses`); `loops_hash` is that of `loops`.
@@ -287,7 +287,7 @@ class EarlyCorrectionRecord:
 
 @dataclass(frozen=True)
 class MapMergeRecord:
-    """A merge into a map: what was merged, into which version, and what it rested on.
+    """A merge into a map: the source, the new version and the evidence.
 
     `merge_id` is the id of its operation. `source` is the resource name of the map or session that was copied;
     `sessions` are the ids of the copies. `version_before` was in force before it (0 for none) and is kept while the

@@ -21,7 +21,7 @@ class SubmapState(StrEnum):
 
 
 class LoopState(StrEnum):
-    """The verdict of geometry on a loop closure, or of the person who overruled it; PROPOSED has none yet."""
+    """The verdict on a loop closure, of geometry or of a person; PROPOSED has none yet."""
 
     ACCEPTED = "ACCEPTED"
     REJECTED = "REJECTED"
@@ -37,7 +37,7 @@ class GraphState(StrEnum):
 
 
 class LoopEventKind(StrEnum):
-    """What happened to a loop closure."""
+    """The kind of a change of a loop closure."""
 
     VERIFIED = "VERIFIED"
     PROPOSED = "PROPOSED"
@@ -48,7 +48,7 @@ class LoopEventKind(StrEnum):
 
 
 class EventKind(StrEnum):
-    """What an event tells of."""
+    """The kind of an event."""
 
     LOOP_CLOSURE = "LOOP_CLOSURE"
     OPERATION = "OPERATION"
@@ -65,7 +65,7 @@ class WebhookState(StrEnum):
 
 
 class OperationKind(StrEnum):
-    """What a job does."""
+    """The kind of a job."""
 
     DESCRIBE_SUBMAP = "DESCRIBE_SUBMAP"
     SEARCH_CLOUD = "SEARCH_CLOUD"
@@ -88,7 +88,7 @@ class MapFileState(StrEnum):
 
 
 class MergeVerdict(StrEnum):
-    """What came of a merge: done, refused, or only asked for (`validate_only`) with nothing against it."""
+    """The outcome of a merge: done, refused, or possible (`validate_only`)."""
 
     MERGED = "MERGED"
     REFUSED = "REFUSED"
@@ -96,7 +96,7 @@ class MergeVerdict(StrEnum):
 
 
 class ChangeKind(StrEnum):
-    """What happened to a thing between two days."""
+    """The change of a thing between two days."""
 
     VANISHED = "VANISHED"
     APPEARED = "APPEARED"

@@ -1,4 +1,4 @@
-"""Webhooks: where a tenant's events are sent, what came of it, and who sends them."""
+"""Webhooks: the receivers of a tenant's events, the deliveries, and the port that sends them."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from revisit.service.domain.identity import TenantId
 class WebhookRecord:
     """Where events are sent. `map_id` and `kinds` keep those of one map and of these kinds; None and () keep all.
 
-    `told` is the number of the last event that was dealt with, `failures` counts the attempts in vain since then, and
-    `due_at_ns` (wall clock) is when the next may be made. `secret` signs what is sent.
+    `told` is the number of the last delivered event, `failures` counts the failed attempts since then, and
+    `due_at_ns` (wall clock) is when the next may be made. `secret` signs the requests.
     """
 
     tenant: TenantId
@@ -56,7 +56,7 @@ class DeliveryRecord:
 
 @dataclass(frozen=True)
 class Answered:
-    """What a receiver answered: an HTTP status, or why there is none."""
+    """A receiver's answer: an HTTP status, or the reason why there is none."""
 
     status: int | None = None
     error: str | None = None
@@ -66,7 +66,7 @@ class WebhookSender(Protocol):
     """Sends a body to a URL that a client of the service chose: nothing that such a client must not reach."""
 
     async def send(self, url: str, body: bytes, headers: Mapping[str, str]) -> Answered:
-        """POST `body`; never raises for what the network or the receiver does. No redirect is followed."""
+        """POST `body`; never raises for an error of the network or the receiver. No redirect is followed."""
         ...
 
     async def close(self) -> None:

@@ -1,6 +1,6 @@
-"""Whose turn it is: tenants share the workers' time, not their number of jobs.
+"""Fair turns: tenants share the workers' time, not their number of jobs.
 
-A job costs what it ran, however it ended. The next job is of the tenant that has had the least time; one that had
+A job costs its running time, however it ended. The next job is of the tenant that has had the least time; one that had
 nothing to do is counted from where the others stand, so it saves up no claim (start-time fair queueing, Goyal, Vin and
 Cheng 1996). All of it is kept with the jobs, so a worker that starts again changes nothing.
 """
@@ -13,21 +13,21 @@ from revisit.service.domain.identity import TenantId
 from revisit.service.ports.job_queue import TenantTurns
 
 ADVANCE_MS = 1000
-"""What a claim costs until its run has ended, so that several workers do not all take the same tenant's jobs."""
+"""Provisional cost of a claim until its run has ended: so several workers do not all take the same tenant's jobs."""
 
 LEAST_MS = 1
-"""What the quickest job costs: it is somebody else's turn after it."""
+"""Least cost of a job: another tenant's turn follows even the quickest one."""
 
 
 class FairTurns:
-    """The order of the tenants, and what a run costs."""
+    """The order of the tenants and the cost of a run."""
 
     def __init__(self, turns: TenantTurns) -> None:
         """Reads and writes `turns` in the transaction of the jobs."""
         self._turns = turns
 
     def order(self) -> list[TenantId]:
-        """The tenants with unfinished jobs, the one whose turn it is first."""
+        """The tenants with unfinished jobs, the next one first."""
         floor_ms = self._turns.latest_start_ms()
         waiting = self._turns.waiting()
         waiting.sort(key=lambda turn: (max(turn.spent_ms, floor_ms), turn.spent_ms, turn.tenant))

@@ -1,7 +1,7 @@
 """The job queue: leases, attempts and fencing tokens over the jobs of any store.
 
 A worker leases a job and extends the lease by heartbeats. When a lease runs out, the next worker takes the job with a
-higher fencing token, and what the first one still reports is refused. A job without attempts left is a dead letter.
+higher fencing token, and later reports of the first one are refused. A job without attempts left is a dead letter.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ class LeasableJobs(JobRepository, Protocol):
     """Jobs with their leases, across tenants."""
 
     def next_runnable(self, now: Instant, tenant: TenantId) -> JobRecord | None:
-        """A job that is queued and due, or whose lease has run out with attempts left: the most urgent, then oldest."""
+        """A job that is queued and due, or has an expired lease and attempts left: the most urgent, then oldest."""
         ...
 
     def exhausted(self, now: Instant) -> list[JobRecord]:
@@ -46,7 +46,7 @@ class LeasableJobs(JobRepository, Protocol):
 
 
 class LeasedJobs:
-    """`JobQueue` over `LeasableJobs`, inside whatever transaction these belong to."""
+    """`JobQueue` over `LeasableJobs`, inside their transaction."""
 
     def __init__(self, jobs: LeasableJobs, turns: FairTurns, lease_ms: int, clock: Clock) -> None:
         """A lease lasts `lease_ms` milliseconds from its start or its last heartbeat; `turns` orders the tenants."""

@@ -1,1 +1,1 @@
-"""What the features need of the world outside: one protocol, or a few that belong together, a file."""
+"""Ports: the features' needs of the world outside, one protocol (or a few that belong together) a file."""

@@ -1,4 +1,4 @@
-"""What access control needs from outside: keys, the audit log, tokens. tests/contract runs every implementation."""
+"""Ports of access control: keys, the audit log, tokens. tests/contract runs every implementation."""
 
 from __future__ import annotations
 
@@ -85,7 +85,7 @@ class AuditTrail(Protocol):
 
 @dataclass(frozen=True)
 class TokenClaims:
-    """What a verified token says: whose client it is, its name, and its scopes."""
+    """The claims of a verified token: tenant, name of the client, scopes."""
 
     tenant: TenantId
     subject: str
@@ -96,5 +96,5 @@ class TokenVerifier(Protocol):
     """Checks tokens that someone else issued."""
 
     def verify(self, token: str, now_s: float) -> TokenClaims:
-        """What the token says. May wait for the issuer. Raises Unauthenticated."""
+        """The claims of the token. May wait for the issuer. Raises Unauthenticated."""
         ...

@@ -11,14 +11,14 @@ from revisit.service.domain.identity import TenantId
 CLOUD_BLOB = "cloud"
 QUERY_CLOUD_BLOB = "query-cloud"
 PLACE_BLOB = "signature"
-"""What verification keeps of a submap, under the name that stores of version 0.1 gave it."""
+"""The place of a submap for verification, under its name in stores of version 0.1."""
 NEURAL_MAP_BLOB = "neural-map"
 MESH_BLOB = "mesh"
-"""A file of a mesh on its way from the worker that made it to whoever asked, who deletes it: no row names it."""
+"""A file of a mesh on its way from the worker to the asking process, which deletes it: no row names it."""
 TILE_BLOB = "map-tile"
 """The fused surface of a tile of a map (see `core.codec.tile`)."""
 MAP_LAYOUT_BLOB = "map-layout"
-"""What the bytes of a map file are (see `mapping.map_layout`)."""
+"""The layout of a map file's bytes (see `mapping.map_layout`)."""
 
 
 @dataclass(frozen=True)
@@ -31,7 +31,7 @@ class StoredBlob:
 
 
 class BlobStore(Protocol):
-    """Bytes by content, per tenant and kind. What `put` has returned survives a power cut."""
+    """Bytes by content, per tenant and kind. A blob survives a power cut once `put` has returned."""
 
     def put(self, tenant: TenantId, kind: str, data: bytes) -> str:
         """Store durably; the SHA-256 (hex). Again: no effect. Raises StorageFull, StorageUncertain."""

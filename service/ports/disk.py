@@ -6,10 +6,10 @@ from typing import Protocol
 
 
 class DiskSpace(Protocol):
-    """Whether there is room for what clients send."""
+    """Room on the disk for clients' data."""
 
     def full(self) -> bool:
-        """Whether new data must be refused: what room is left is for finishing and for deleting."""
+        """Whether new data must be refused: the room left is for finishing and for deleting."""
         ...
 
     def exhausted(self) -> bool:
@@ -17,12 +17,12 @@ class DiskSpace(Protocol):
         ...
 
     def wal_bytes(self) -> int:
-        """Size of what is committed and not folded back into the database yet."""
+        """Size of the log of commits that are not folded back into the database yet."""
         ...
 
 
 class UnlimitedDisk:
-    """`DiskSpace` of a service whose disk nobody watches."""
+    """`DiskSpace` without a watch: there is always room."""
 
     def full(self) -> bool:
         """See `DiskSpace`."""

@@ -82,7 +82,7 @@ class VectorMatch:
 
 
 class IndexAudit(Protocol):
-    """What an index holds, for comparing it with the database."""
+    """A summary of an index's content, to compare with the database."""
 
     def numbers(self, map_number: int) -> tuple[int, NDArray[np.int64]]:
         """`seq`, and the numbers of the submaps that it holds as of that change."""
@@ -100,11 +100,11 @@ class SharedIndex(Protocol):
     """
 
     def save(self, map_number: int) -> str | None:
-        """Write a file of what it holds; its name. None where it is not worth it, or there is no room."""
+        """Write its content to a file; the name. None where it is not worth it, or there is no room."""
         ...
 
     def load(self, map_number: int, name: str) -> bool:
-        """Hold what the file holds, and nothing else; whether that is so. Not where the file was found wrong before."""
+        """Replace its content by the file's; whether that succeeded. False if the file was found wrong before."""
         ...
 
     def large(self) -> list[int]:

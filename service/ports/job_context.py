@@ -1,4 +1,4 @@
-"""What every job of a worker stands on: the database, the blobs, the time and the rules."""
+"""The context of every job of a worker: database, blobs, clock and rules."""
 
 from __future__ import annotations
 

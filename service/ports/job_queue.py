@@ -20,10 +20,10 @@ class Lease:
 
 
 class LeasedRuns(Protocol):
-    """What a worker does with one job: lease it, keep the lease, report its end."""
+    """A worker's operations on one job: lease it, keep the lease, report its end."""
 
     def claim(self, owner: str) -> Lease | None:
-        """Lease the next runnable job, of the tenant whose turn it is, to `owner`; the attempt is counted before."""
+        """Lease the next runnable job, of the next tenant in turn, to `owner`; the attempt is counted before."""
         ...
 
     def require(self, lease: Lease) -> None:
@@ -50,7 +50,7 @@ class LostRuns(Protocol):
     """Runs that ended with their worker."""
 
     def fail_exhausted_jobs(self) -> list[JobRecord]:
-        """Fail the jobs whose lease has run out with no attempts left; returns them."""
+        """Fail and return the jobs with an expired lease and no attempts left."""
         ...
 
     def release(self, owner: str, reason: str, *, innocent: bool = False) -> int:

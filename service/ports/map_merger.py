@@ -1,4 +1,4 @@
-"""What speaks for or against making two maps one, as the workers ask for it."""
+"""Evidence for and against the merge of two maps, as the workers ask for it."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ class DescribedPlaces:
 
 @dataclass(frozen=True)
 class AlignedMaps:
-    """The poses of two maps in one graph, and what the loops between them say: how many the poses rest on, the way of
-    the second map that they span, metres, and how many agree on another alignment.
+    """The poses of two maps in one graph, and the loops between them: the number that the poses rest on, the length of
+    the second map's path that they span (metres), and the number that agree on another alignment.
     """
 
     optimised: OptimisedMap
@@ -58,7 +58,7 @@ class MapChange:
 
 @dataclass(frozen=True)
 class SurfaceEvidence:
-    """What the surfaces of two placed maps say of each other (see `core.merge.overlap`)."""
+    """Agreement of the surfaces of two placed maps (see `core.merge.overlap`)."""
 
     common_points: int
     overlap_share: float

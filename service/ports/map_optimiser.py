@@ -74,8 +74,8 @@ class OptimisedTrack:
 
 @dataclass(frozen=True)
 class JudgedLoop:
-    """What the graph says of a loop; its squared Mahalanobis distance from the poses, NaN where its sessions share no
-    frame; the reason of one that was refused.
+    """The graph's verdict on a loop; its squared Mahalanobis distance from the poses, NaN where its sessions share no
+    frame; the reason of a refused one.
     """
 
     number: int
@@ -93,7 +93,7 @@ class TrackFault:
     """A fault of a session's odometry that was mended before its loops were judged.
 
     It lies between the submaps `first` and `last` of its track, from 0. amount: metres (SLIP, JUMP), radians (TURN,
-    TILT), or what goes on throughout: metres (SCALE, SLOPE) or radians (HEADING) a metre; sigma is its standard
+    TILT), or a constant drift: metres (SCALE, SLOPE) or radians (HEADING) a metre; sigma is its standard
     deviation. `loops` speak for it.
     """
 
@@ -156,20 +156,20 @@ class SolvedTrack:
 
 
 class SolvedMap(Protocol):
-    """A map that was optimised, to which single submaps and loops are added. It keeps what makes that fast."""
+    """An optimised map with its factorisation, updated incrementally with single submaps and loops."""
 
     def append(self, session_number: int, submap: int, T_odom_submap: Matrix4) -> None:
         """A further submap, by number, of a session; one of a session that the map does not have changes nothing."""
         ...
 
     def add(self, loop: TrackLoop) -> bool:
-        """Take in a loop; whether it moves the map. It does not where it contradicts it, or joins what shares no
-        frame.
+        """Add a loop; whether it moves the map. It does not if it contradicts the map or joins sessions without a
+        common frame.
         """
         ...
 
     def corrections(self) -> dict[int, Matrix4]:
-        """T_map_odom (4, 4) by number of the sessions whose frames have taken in loops, as of their last submaps."""
+        """T_map_odom (4, 4) by number of the sessions in frames that loops have changed, as of their last submaps."""
         ...
 
     def refresh(self) -> None:

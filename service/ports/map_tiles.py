@@ -54,7 +54,7 @@ class TileMaker(Protocol):
     def fuse(
         self, placed: Sequence[PlacedSubmapMap], centre_m: NDArray[np.float64], read: Callable[[str], bytes]
     ) -> FusedTile | None:
-        """The tile whose square has its middle at `centre_m` (3,); `read` gets a neural map by its hash.
+        """The tile of the square centred at `centre_m` (3,); `read` gets a neural map by its hash.
 
         None where nothing was seen there. Raises DataLoss, DescriptorModelMismatch, BadField.
         """

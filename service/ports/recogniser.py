@@ -19,7 +19,7 @@ from revisit.core.submap import Submap
 
 @dataclass(frozen=True)
 class SubmapDescription:
-    """What a worker learns about a submap. `descriptor` (d,) float32, L2-normalised; blobs are versioned by `core`."""
+    """A worker's description of a submap. `descriptor` (d,) float32, L2-normalised; blobs are versioned by `core`."""
 
     descriptor: NDArray[np.float32]
     place: bytes
@@ -30,7 +30,7 @@ class SubmapDescription:
 
 @dataclass(frozen=True)
 class Redescription:
-    """What a recogniser makes of a stored neural map: `descriptor` (d,) float32 and the blob of the place.
+    """The description of a stored neural map: `descriptor` (d,) float32 and the blob of the place.
 
     `neural_map` is the blob of a new one, where the stored one could not be used and scans were described instead.
     """
@@ -41,10 +41,10 @@ class Redescription:
 
 
 class PlaceKeeper(Protocol):
-    """Keeps what it has made of places, as long as there is room."""
+    """A cache of decoded places, as long as there is room."""
 
     def let_go(self) -> None:
-        """Keep nothing of what verification has made of places: a job that needs much memory follows."""
+        """Empty the cache of decoded places: a job that needs much memory follows."""
         ...
 
 
@@ -57,7 +57,7 @@ class PlaceRecogniser(PlaceKeeper, Protocol):
         ...
 
     def inspect(self, scans: Sequence[Scan]) -> tuple[str, ...]:
-        """Codes of what is unlikely to be meant about the scans of a submap (`revisit.core.sanity`)."""
+        """Codes of likely mistakes in the scans of a submap (`revisit.core.sanity`)."""
         ...
 
     def describe(self, submap: Submap, config: PipelineConfig) -> SubmapDescription:
@@ -65,9 +65,10 @@ class PlaceRecogniser(PlaceKeeper, Protocol):
         ...
 
     def describe_again(self, neural_map: bytes, place: bytes | None, config: PipelineConfig) -> Redescription:
-        """What this version makes of a submap from its stored neural map. Raises RevisitError where it cannot.
+        """This version's description of a submap from its stored neural map. Raises RevisitError where it cannot be
+        made.
 
-        What only the scans tell is taken over from the `place` that was made of them, where it is there and readable.
+        Values that need the scans are taken over from the former `place`, if it is there and readable.
         """
         ...
 

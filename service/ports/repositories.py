@@ -22,7 +22,7 @@ class RowReader(Protocol[R]):
     def find(
         self, tenant: TenantId, *, after: int = 0, limit: int | None = None, **equals: str | int | None
     ) -> list[R]:
-        """Records whose fields equal `equals` and whose number is above `after`, by number, at most `limit`."""
+        """Records with fields equal to `equals` and a number above `after`, by number, at most `limit`."""
         ...
 
     def numbered(self, tenant: TenantId, numbers: Sequence[int]) -> dict[int, R]:
@@ -56,12 +56,12 @@ class RowWriter(Protocol[R]):
     def revise(self, records: Sequence[R], **fields: str | int | None) -> None:
         """Give records of one tenant, told by their numbers, the same values of some fields, in few statements.
 
-        What else is stored stays, whatever `records` hold of it. Raises NotFound where one is gone.
+        Other fields keep their stored values. Raises NotFound where one is gone.
         """
         ...
 
     def delete(self, tenant: TenantId, **equals: str | int | None) -> int:
-        """Delete what `find` would give in `UnitOfWork.everything`; how many."""
+        """Delete the records that `find` would give in `UnitOfWork.everything`; their number."""
         ...
 
 
@@ -69,7 +69,9 @@ class RowEraser(Protocol[R]):
     """Deletes many records of one kind, a portion at a time."""
 
     def some(self, tenant: TenantId, limit: int, **equals: str | int | None) -> list[R]:
-        """At most `limit` of what `find` would give, in any order: however many there are, it takes no longer."""
+        """At most `limit` of the records that `find` would give, in any order: the time does not grow with their
+        number.
+        """
         ...
 
     def named(self, tenant: TenantId, field: str, values: Collection[str]) -> set[str]:
@@ -77,7 +79,7 @@ class RowEraser(Protocol[R]):
         ...
 
     def delete_some(self, tenant: TenantId, limit: int, field: str, values: Sequence[str | int]) -> int:
-        """Delete at most `limit` of the records, seen or not, whose `field` has one of `values`; how many."""
+        """Delete at most `limit` of the records, visible or not, with one of `values` in `field`; their number."""
         ...
 
 
@@ -85,11 +87,11 @@ class RowsOfAllTenants(Protocol[R]):
     """Reads records of one kind across tenants, for the upkeep of the service; no answer to a client rests on it."""
 
     def count_of_all_tenants(self, **equals: str | int | None) -> int:
-        """How many records all tenants have together, for those who look after the service."""
+        """The number of records of all tenants together, for the service's upkeep."""
         ...
 
     def of_all_tenants(self, *, after: int = 0, limit: int | None = None) -> list[R]:
-        """As `find`, of every tenant, for those who look after the service."""
+        """As `find`, of every tenant, for the service's upkeep."""
         ...
 
 
@@ -134,7 +136,7 @@ class PathPoint:
 
 @dataclass(frozen=True)
 class FoundSubmap:
-    """What a search tells of a submap: its number and names, and its position in the odometry frame of its session."""
+    """A submap as a search result: its number and names, and its position in the odometry frame of its session."""
 
     number: int
     map_id: str
@@ -163,7 +165,7 @@ class SubmapRepository(Repository[SubmapRecord], FoundSubmaps, Protocol):
         ...
 
     def placed(self, tenant: TenantId, map_id: str, after: int = 0) -> list[PlacedSubmap]:
-        """Every submap of a map whose number is above `after`, with its place in its session: by session and then in
+        """Every submap of a map with a number above `after`, with its position in its session: by session and then in
         the order of the drive.
         """
         ...

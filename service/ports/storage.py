@@ -125,6 +125,6 @@ def require_job(uow: UnitOfWork, tenant: TenantId, operation_id: str) -> JobReco
 
 
 def require_same_content(known: str, sent: str, name: str) -> None:
-    """Raises AlreadyExists where what is stored under a name is not what was sent again, by the hashes of both."""
+    """Raises AlreadyExists where the hash of the content stored under a name differs from that of the new one."""
     if known != sent:
         raise AlreadyExists(f"{name} exists with other content")

@@ -20,7 +20,7 @@ _TRACEPARENT = re.compile(r"00-(?!0{32})[0-9a-f]{32}-(?!0{16})[0-9a-f]{16}-[0-9a
 
 
 class Role(StrEnum):
-    """What a span covers: the answer to a request, or the run of a job."""
+    """The kind of a span: the answer to a request, or the run of a job."""
 
     REQUEST = "request"
     JOB = "job"
@@ -52,7 +52,7 @@ class Tracer(Protocol):
         ...
 
     def close(self) -> None:
-        """Send what is left."""
+        """Send the remaining spans."""
         ...
 
 

@@ -93,12 +93,12 @@ class UnitOfWork(Protocol):
 
     @property
     def deletions(self) -> Repository[DeletionRecord]:
-        """What is being deleted by (map_id, session_id): maps and sessions that nobody sees any more."""
+        """Resources under deletion by (map_id, session_id): hidden maps and sessions."""
         ...
 
     @property
     def everything(self) -> UnitOfWork:
-        """The same transaction, which also sees the rows of what is being deleted."""
+        """The same transaction, with rows under deletion visible, too."""
         ...
 
     @property
@@ -133,7 +133,7 @@ class UnitOfWork(Protocol):
 
     @property
     def events(self) -> EventLog:
-        """The log of what happens in the maps."""
+        """The event log of the maps."""
         ...
 
     @property
@@ -168,9 +168,9 @@ class Transactions(Protocol):
     def write(self, work: Callable[[UnitOfWork], T], *, alone: bool = False) -> Future[T]:
         """Run `work` and commit durably before the future is done; an exception rolls back and is passed on.
 
-        Writes that wait at the same time share a transaction and see each other's changes. One that does what a
-        rollback cannot undo runs `alone`, and so sees committed rows only. Raises through the future: StorageFull,
-        StorageUncertain, DataLoss, and what `work` raises.
+        Writes that wait at the same time share a transaction and see each other's changes. One with effects beyond a
+        rollback runs `alone`, and so sees committed rows only. Raises through the future: StorageFull,
+        StorageUncertain, DataLoss, and the errors of `work`.
         """
         ...
 
@@ -185,11 +185,11 @@ class Transactions(Protocol):
     def version(self) -> int | None:
         """A number that is another one once anything was committed, by whichever process; None where it is not known.
 
-        What was read after this number was asked for still holds while the number is the same. Takes microseconds and
+        Rows that were read after this number still hold while it is the same. Takes microseconds and
         waits for nobody: may be called on the event loop.
         """
         ...
 
     def close(self) -> None:
-        """Finish what is queued and release everything."""
+        """Finish the queued work and release everything."""
         ...

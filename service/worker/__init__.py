@@ -1,1 +1,1 @@
-"""Worker processes: they claim jobs, run the core and commit what it found."""
+"""Worker processes: they claim jobs, run the core and commit the results."""

@@ -1,4 +1,4 @@
-"""What a worker may take of its machine, so that a job that wants everything harms nobody but itself."""
+"""Bounds of a worker's memory and priority, so that a greedy job harms nobody but itself."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ Not more: a worker also holds the lock of the writers for a moment.
 
 
 def confine(memory_bytes: int) -> None:
-    """Bound this process's own memory: what goes beyond is a MemoryError, or the end of this process alone.
+    """Bound this process's own memory: more is a MemoryError, or the end of this process alone.
 
     It yields to the gateway where they compete for a core.
 
-    What counts is memory that the process may write to (RLIMIT_DATA). The address space is no measure: torch and Open3D
-    reserve twice what they use. A core dump would write a customer's site to the disk, so there is none.
+    Only memory that the process may write to counts (RLIMIT_DATA). The address space is no measure: torch and Open3D
+    reserve twice as much as they use. A core dump would write a customer's site to the disk, so there is none.
     """
     os.setpriority(os.PRIO_PROCESS, 0, max(NICENESS, os.getpriority(os.PRIO_PROCESS, 0)))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
@@ -37,6 +37,6 @@ def confine(memory_bytes: int) -> None:
 
 
 def resident_bytes() -> int:
-    """The memory that this process holds just now for itself: not what it shares, as files that it reads."""
+    """The private memory of this process now, without shared pages such as mapped files."""
     held, shared = Path("/proc/self/statm").read_text().split()[1:3]
     return (int(held) - int(shared)) * resource.getpagesize()

@@ -9,7 +9,7 @@ from pathlib import Path
 from revisit.service.worker.heartbeat import ORPHANED, OVERTIME
 
 STORAGE_FAILED = 74
-"""Exit status after an I/O error of the storage (EX_IOERR): what was being committed is unknown until a restart."""
+"""Exit status after an I/O error of the storage (EX_IOERR): the fate of the last commit is unknown until a restart."""
 
 FROM_OUTSIDE = frozenset({-signal.SIGKILL, -signal.SIGTERM, -signal.SIGINT, -signal.SIGHUP, ORPHANED, STORAGE_FAILED})
 """Statuses of workers that somebody ended, or that found their gateway gone or their disk failing."""
@@ -40,7 +40,7 @@ def is_innocent(end: WorkerEnd, status: int, out_of_memory: int) -> bool:
     """Whether the job of a worker that ended had no part in it, as far as one can tell.
 
     `out_of_memory`: processes that the kernel has killed for want of memory while the worker lived. One of them may
-    have been the worker, whose SIGKILL looks like anybody's.
+    have been the worker: its SIGKILL looks like any other.
     """
     if end is WorkerEnd.STOPPED:
         return True

@@ -9,7 +9,7 @@ GROWN_BYTES = 64 * 2**20
 """A job that leaves so much more than was held after the last return is followed by another one."""
 
 IDLE_S = 2.0
-"""A worker that has waited so long for a job returns what is free."""
+"""A worker that has waited so long for a job returns its free memory."""
 
 
 class FreeMemory:

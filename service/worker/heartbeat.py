@@ -24,10 +24,10 @@ BEATS_PER_LEASE = 5
 LOOK_EVERY_S = 0.5
 
 ORPHANED = 75
-"""Exit status of a worker whose gateway is gone (EX_TEMPFAIL)."""
+"""Exit status of a worker without its gateway (EX_TEMPFAIL)."""
 
 OVERTIME = 124
-"""Exit status of a worker whose job took too long (that of timeout(1))."""
+"""Exit status of a worker after a job that took too long (that of timeout(1))."""
 
 IDLE_SHARE = 0.02
 """Of a core: a job that takes less waits for something that does not come."""
@@ -40,7 +40,7 @@ log = structlog.get_logger(__name__)
 
 @dataclass(frozen=True)
 class WorkerIdentity:
-    """Who a worker is: its id, the model it runs, and the gateway that started it, if one did."""
+    """A worker's identity: its id, the model it runs, and the gateway that started it, if one did."""
 
     worker_id: str
     model_version: str
@@ -112,7 +112,7 @@ class Heartbeat:
                 self._beat_or_log()
 
     def _end_overtime(self) -> None:
-        """Fail a job that takes too long. What hangs in it cannot be stopped, so the process ends with it."""
+        """Fail a job that takes too long. A hanging call cannot be stopped, so the process ends with it."""
         lease = self._lease
         wall_s, cpu_s = time.monotonic() - self._began_s, time.process_time() - self._began_cpu_s
         if lease is None or not is_overtime(wall_s, cpu_s, self._job_timeout_s):

@@ -1,4 +1,4 @@
-"""What the log says while a worker loads: the first worker of an installation compiles its kernels."""
+"""Log lines while a worker loads: the first worker of an installation compiles its kernels."""
 
 from __future__ import annotations
 

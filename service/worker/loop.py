@@ -49,7 +49,7 @@ class Worker:
         limits: WorkerLimits,
         tracer: Tracer = NoTracer(),
     ) -> None:
-        """`jobs` runs what is leased."""
+        """`jobs` runs leased jobs."""
         self._claims = JobClaims(context.transactions, context.disk, identity.worker_id)
         self._jobs = jobs
         self._identity = identity

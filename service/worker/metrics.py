@@ -1,4 +1,4 @@
-"""What Prometheus reads about the workers: how their processes ended."""
+"""Metrics of the workers: how their processes ended."""
 
 from __future__ import annotations
 

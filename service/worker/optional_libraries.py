@@ -1,4 +1,4 @@
-"""What libraries of a worker load where it is installed, though a worker never uses it (docs/decisions/0289)."""
+"""Optional imports of a worker's libraries that a worker never uses (docs/decisions/0289)."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ OPTIONAL = ("rich", "cffi", "charset_normalizer")
 
 
 def leave_out_optional_libraries() -> None:
-    """Let them be as if they were not installed, which who asks for them can bear. To be called before all imports."""
+    """Hide them, as if they were not installed: their importers can bear that. To be called before all imports."""
     modules: dict[str, Any] = sys.modules
     for name in OPTIONAL:
         modules.setdefault(name, None)

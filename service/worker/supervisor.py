@@ -82,7 +82,7 @@ class WorkerSupervisor:
             try:
                 end = await self._run_once()
             except OSError as error:
-                # No process or file handle is free just now: what else runs here may give some back.
+                # No process or file handle is free just now: other programs may give some back.
                 log.error("worker_not_started", reason=error.strerror)
             lived_s = asyncio.get_running_loop().time() - started
             well = end is WorkerEnd.STOPPED or lived_s > STEADY_S
@@ -91,7 +91,7 @@ class WorkerSupervisor:
                 await asyncio.sleep(pause_s)
 
     async def _run_once(self) -> WorkerEnd:
-        """Run one worker process to its end, and let go of what it held; how it ended."""
+        """Run one worker process to its end, and release its leases; how it ended."""
         worker_id, killed_before = f"worker-{secrets.token_hex(4)}", out_of_memory_kills()
         command = own_python.command("-m", "revisit.service", "worker", "--id", worker_id, "--parent", str(os.getpid()))
         process = await asyncio.create_subprocess_exec(*command, env=_environment(), stdin=asyncio.subprocess.DEVNULL)

@@ -31,7 +31,7 @@ FIELD = {
 }  # fmt: skip
 """A new detail of a session, `driver`; beside these files, one new migration."""
 
-MIGRATION = '''
+MIGRATION = """
 import sqlalchemy as sa
 from alembic import op
 
@@ -46,12 +46,12 @@ def upgrade():
 
 def downgrade():
     op.drop_column("sessions", "driver")
-'''
+"""
 
-RPC = '''  // Count the sessions of a map.
+RPC = """  // Count the sessions of a map.
   rpc CountSessions(CountSessionsRequest) returns (CountSessionsResponse);
-'''
-MESSAGES = '''
+"""
+MESSAGES = """
 message CountSessionsRequest {
   string parent = 1;
 }
@@ -59,13 +59,13 @@ message CountSessionsRequest {
 message CountSessionsResponse {
   uint32 sessions = 1;
 }
-'''
-FUNCTION = '''async def count_sessions(cases, tenant, request):
+"""
+FUNCTION = """async def count_sessions(cases, tenant, request):
     view = await cases.maps.get(tenant, names.map_id(request.parent, "parent"))
     return {"sessions": view.session_count}
 
 
-'''
+"""
 
 CALL = {
     PROTO: [

@@ -13,7 +13,8 @@ import revisit
 from revisit.service.engines.local.sqlite.migration import MIGRATIONS
 
 ROOT = Path(__file__).resolve().parents[2]
-SETUPTOOLS = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["setuptools"]
+PYPROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
+SETUPTOOLS = PYPROJECT["tool"]["setuptools"]
 
 
 def installed_folders() -> set[str]:
@@ -40,3 +41,15 @@ def test_no_file_imports_a_linked_folder_by_its_bare_name():
     paths = [ROOT / name for name in listed.stdout.splitlines() if not name.startswith("docs/decisions/")]
     assert [path for path in paths if path.is_file() and bare.search(path.read_text())] == []
     assert bare.search('"import sys; from ' + 'core import x"') and not bare.search("from the service come")
+
+
+def test_the_newest_section_of_the_changelog_and_the_ros_packages_have_the_version_of_the_project():
+    version = PYPROJECT["project"]["version"]
+    stated = {
+        "CHANGELOG.md": r"^## (\S+) - ",
+        "ros/revisit_bridge/package.xml": r"<version>(\S+)</version>",
+        "ros/revisit_bridge/setup.py": r'version="(\S+)"',
+        "ros/revisit_msgs/package.xml": r"<version>(\S+)</version>",
+    }
+    found = {name: re.search(words, (ROOT / name).read_text(), re.MULTILINE)[1] for name, words in stated.items()}
+    assert found == dict.fromkeys(stated, version)

@@ -13,12 +13,14 @@ from pathlib import Path
 import pytest
 
 from revisit.service.domain.identity import SubmapKey
-from revisit.service.engines.local.sqlite.migration import NEWEST_REVISION, current_revision, migrate
+from revisit.service.engines.local.sqlite import migration
+from revisit.service.engines.local.sqlite.migration import NEWEST_REVISION, ForeignSchema, current_revision, migrate
 from revisit.service.features.index.answers import SearchCriteria
-from tests.compatibility.write import STORES, write_store
+from tests.compatibility.write import ROOT, STORES, write_store
 from tests.faults.drive import POSTED, undisturbed
 from tests.faults.history import History
 from tests.faults.survey import survey
+from tests.support.next_migration import NEXT_REVISION, migrations_with_a_next_step
 from tests.support.service_world import TENANT, sqlite_world
 
 STATES = {"DESCRIBED": 8, "FAILED": 1}
@@ -81,8 +83,34 @@ def test_a_store_that_all_steps_made_is_left_as_it_is(tmp_path):
     assert hashlib.sha256((home / "revisit.db").read_bytes()).hexdigest() == before
 
 
-def test_there_is_a_store_and_one_of_today_can_be_made(tmp_path):
-    assert list(STORES.glob("*.zip"))
+def test_a_store_that_a_later_release_has_upgraded_is_refused_until_that_release_takes_it_back(tmp_path, monkeypatch):
+    home = unpacked(STORES / "release-0.2.0.zip", tmp_path)
+    with monkeypatch.context() as later:
+        later.setattr(migration, "MIGRATIONS", migrations_with_a_next_step(tmp_path))
+        later.setattr(migration, "NEWEST_REVISION", NEXT_REVISION)
+        migrate(home / "revisit.db")
+        upgraded = hashlib.sha256((home / "revisit.db").read_bytes()).hexdigest()
+        later.undo()
+        with pytest.raises(ForeignSchema, match=f"newer Revisit .schema {NEXT_REVISION}.* or restore a backup"):
+            migrate(home / "revisit.db")
+    assert hashlib.sha256((home / "revisit.db").read_bytes()).hexdigest() == upgraded
+    with monkeypatch.context() as later:
+        later.setattr(migration, "MIGRATIONS", tmp_path / "migrations")
+        migrate(home / "revisit.db", NEWEST_REVISION)
+    assert current_revision(home / "revisit.db") == NEWEST_REVISION
+    assert searched(home) == {"c"}
+    assert survey(home).against(History.parse((tmp_path / "log").read_bytes())) == []
+
+
+def test_every_release_since_0_2_0_has_left_a_store():
+    released = re.findall(r"^## (\d+\.\d+\.\d+) - \d", (ROOT / "CHANGELOG.md").read_text(), re.MULTILINE)
+    assert [
+        version for version in released if version != "0.1.0" and not (STORES / f"release-{version}.zip").is_file()
+    ] == []
+    assert "0.1.0" in released
+
+
+def test_a_store_of_today_can_be_made(tmp_path):
     write_store(tmp_path / "today.zip")
     home = unpacked(tmp_path / "today.zip", tmp_path)
     assert survey(home).states == STATES

@@ -1,21 +1,34 @@
-"""Make the store that later versions must open: `python -m tests.compatibility.write`, once a release."""
+"""Store and API of this release, kept for later ones: `python -m tests.compatibility.write`, once a release."""
 
 from __future__ import annotations
 
+import subprocess
+import sys
 import tempfile
+import tomllib
 import zipfile
 from pathlib import Path
 
 from tests.faults.drive import undisturbed
 
 ROOT = Path(__file__).resolve().parents[2]
+VERSION = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["version"]
 STORES = Path(__file__).parent / "stores"
+APIS = Path(__file__).parent / "apis"
 THE_SAME_TIME = (2026, 1, 1, 0, 0, 0)
 
 
-def newest_schema() -> str:
-    """The number of the last migration."""
-    return max(path.name[:4] for path in (ROOT / "migrations/versions").glob("[0-9]*.py"))
+def buf(*words: str, proto: Path = ROOT / "proto") -> subprocess.CompletedProcess[str]:
+    """Run buf of this environment in a folder of proto files."""
+    command = [str(Path(sys.executable).parent / "buf"), *words]
+    return subprocess.run(command, cwd=proto, capture_output=True, text=True, check=False)
+
+
+def write_api(file: Path) -> None:
+    """The descriptors of all messages and calls, without their comments."""
+    built = buf("build", "--exclude-source-info", "-o", str(file))
+    if built.returncode:
+        raise RuntimeError(built.stderr)
 
 
 def write_store(file: Path) -> None:
@@ -31,4 +44,5 @@ def write_store(file: Path) -> None:
 
 
 if __name__ == "__main__":
-    write_store(STORES / f"schema-{newest_schema()}.zip")
+    write_store(STORES / f"release-{VERSION}.zip")
+    write_api(APIS / f"release-{VERSION}.binpb")

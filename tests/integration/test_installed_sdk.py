@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import subprocess
 import sys
 import tarfile
 import zipfile
+from contextlib import closing
 from importlib import metadata
 from pathlib import Path
 
@@ -16,12 +18,16 @@ import pytest
 from revisit.evaluation.datasets import write_kitti
 from tests.support.live_service import live_service
 from tests.support.patience import in_time
-from tests.support.requirements import ROOT, distributions
+from tests.support.processes import ServiceProcess
+from tests.support.requirements import PROJECT, ROOT, distributions
 from tests.support.service_world import cloud_points, pose
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="links the dependencies into a new environment")
 
 IMPORT_CPU_S = 0.5
+
+COPIED = {"opencv-python-headless"}
+"""Distributions that follow links to their own files and then load from there."""
 
 # A robot's own project, whose packages have the names of our folders.
 OWN = ("core", "service", "evaluation", "migrations")
@@ -73,6 +79,18 @@ with Client(sys.argv[1]) as client:
 """
 
 
+METHOD = "revisit.service.adapters.core_recogniser:load_recogniser"
+
+
+class InstalledService(ServiceProcess):
+    """The service of an environment, started in somebody else's project, with its own models."""
+
+    def __init__(self, environment: Path, project: Path, home: Path) -> None:
+        self.python = (str(environment / "bin/python"),)
+        self.folder = project
+        super().__init__(home, recogniser=METHOD)
+
+
 def checkout(folder: Path) -> Path:
     """The files of the working tree that are or would be committed, links as links."""
     command = ["git", "ls-files", "-z", "--cached", "--others", "--exclude-standard"]
@@ -117,15 +135,30 @@ def wheel(source, tmp_path_factory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def environment(wheel, tmp_path_factory) -> Path:
-    """A virtual environment of the wheel and the base dependencies, which are linked file by file: no network."""
-    folder = tmp_path_factory.mktemp("environment")
+def unpacked(source, tmp_path_factory) -> Path:
+    """The sdist, unpacked."""
+    archive = built("sdist", source, tmp_path_factory.mktemp("sdist"))
+    folder = tmp_path_factory.mktemp("unpacked")
+    with tarfile.open(archive) as opened:
+        opened.extractall(folder, filter="data")
+    (top,) = folder.iterdir()
+    return top
+
+
+def installed(wheel: Path, folder: Path, names: set[str]) -> Path:
+    """A virtual environment of a wheel and of distributions that are linked file by file: no network."""
     subprocess.run([sys.executable, "-m", "venv", "--without-pip", str(folder)], check=True)
     (site,) = folder.glob("lib/python*/site-packages")
-    link(distributions(), site)
+    link(names, site)
     command = [sys.executable, "-m", "pip", "--isolated", "--python", str(folder / "bin/python"), "install"]
     run([*command, "--quiet", "--no-index", "--no-deps", str(wheel)], folder)
     return folder
+
+
+@pytest.fixture(scope="module")
+def environment(wheel, tmp_path_factory) -> Path:
+    """The wheel and the base dependencies alone."""
+    return installed(wheel, tmp_path_factory.mktemp("environment"), distributions())
 
 
 @pytest.fixture(scope="module")
@@ -150,7 +183,10 @@ def link(names: set[str], site: Path) -> None:
         for file in metadata.distribution(name).files or []:
             if ".." not in file.parts:
                 (site / file).parent.mkdir(parents=True, exist_ok=True)
-                (site / file).symlink_to(file.locate())
+                if name in COPIED:
+                    shutil.copy(file.locate(), site / file)
+                else:
+                    (site / file).symlink_to(file.locate())
 
 
 @pytest.fixture(scope="module")
@@ -213,18 +249,31 @@ def test_the_command_says_in_one_line_what_to_install(environment, project, tmp_
     assert told("loops", "--http", "http://127.0.0.1:1").startswith("revisit: UNREACHABLE")
 
 
-def test_wheel_and_sdist_hold_every_committed_file_of_the_package_and_nothing_else(source, wheel, tmp_path):
+def test_wheel_and_sdist_hold_every_committed_file_of_the_package_and_nothing_else(source, wheel, unpacked, tmp_path):
     linked = sorted(path.name for path in (source / "revisit").iterdir() if path.is_symlink())
     kept = {path.relative_to(source).as_posix() for path in files(source / "revisit")}
     kept |= {f"revisit/{path.relative_to(source)}" for name in linked for path in files(source / name)}
     assert linked == sorted(OWN) and {"revisit/py.typed", "revisit/core/pipeline.py"} <= kept
     assert names(wheel) == kept
 
-    archive = built("sdist", source, tmp_path / "sdist")
-    with tarfile.open(archive) as opened:
-        opened.extractall(tmp_path / "unpacked", filter="data")
-    (unpacked,) = (tmp_path / "unpacked").iterdir()
-    assert names(built("wheel", unpacked, tmp_path / "again")) == kept
+    assert names(built("wheel", unpacked, tmp_path)) == kept
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(900)  # all kernels are compiled, in an environment that has none
+def test_the_service_of_a_wheel_made_of_the_sdist_finds_a_loop(unpacked, project, tmp_path):
+    wheel = built("wheel", unpacked, tmp_path / "wheels")
+    environment = installed(wheel, tmp_path / "environment", distributions("service") | distributions("cli"))
+    version = PROJECT["version"]
+    assert wheel.name.startswith(f"revisit_loops-{version}-")
+    assert python(environment, project, "-m", "revisit.cli", "--version") == f"revisit {version}\n"
+    (tmp_path / "home").mkdir()
+    with closing(InstalledService(environment, project, tmp_path / "home")) as service:
+        example = [environment / "bin/python", ROOT / "docs/examples/rest_client.py"]
+        variables = {**clean(), "REVISIT_URL": service.url}
+        shown = subprocess.run(example, cwd=project, env=variables, capture_output=True, text=True, check=True).stdout
+        assert shown.count(" is where ") == 1 and "score 1.00" in shown
+        assert service.terminate()[0] == 0
 
 
 def files(folder: Path) -> list[Path]:

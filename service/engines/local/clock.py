@@ -11,7 +11,7 @@ _BOOT_ID = Path("/proc/sys/kernel/random/boot_id")
 
 
 class SystemClock:
-    """`Clock`: the monotonic clock is shared by all processes of one boot, whose id is the epoch."""
+    """`Clock`: all processes of one boot share the monotonic clock; the boot id is the epoch."""
 
     def __init__(self) -> None:
         """Reads the boot's id once; where there is none, all boots count as one."""

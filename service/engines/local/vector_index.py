@@ -1,7 +1,7 @@
 """One vector index per map: the bookkeeping of the port around a nearest-neighbour index of `core.index`.
 
 A large map has a file (docs/decisions/0046): its descriptors are mapped from there, and only those that came later are
-in this process's own memory. Whatever is wrong with a file, the map is forgotten, and loaded again from the database.
+in this process's own memory. After any error of a file the map is forgotten, and loaded again from the database.
 """
 
 from __future__ import annotations
@@ -32,7 +32,8 @@ SAVED_FROM = 4096
 """Places from which a map has a file, and that must have come for another one: below, 16 MB are soon read."""
 
 TRACES_KEPT_S = 600.0
-"""What a file holds of a removed place beside its descriptor (id, position, code, sums) is gone this much later."""
+"""Delay after which a file drops the rest of a removed entry (id, position, code, sums); its descriptor goes at once.
+"""
 
 _OWN_SHARE = 0.125
 """A file is written anew once a process has this share of a map in its own memory."""
@@ -42,7 +43,7 @@ log = structlog.get_logger(__name__)
 
 @dataclass
 class _MapIndex:
-    """The index of one map, made when its first descriptor shows the dimension; `file` is what it was loaded from."""
+    """The index of one map, made when its first descriptor shows the dimension; `file` is its source."""
 
     seq: int = 0
     dimension: int = 0
@@ -206,7 +207,7 @@ class PlaceVectorIndex:
         return places.own_rows >= max(self._saved_from, int(_OWN_SHARE * len(places)))
 
     def _erase(self, index: _MapIndex, numbers: list[int]) -> None:
-        """Take the bytes of what is removed out of the file, or the file away."""
+        """Take the bytes of removed entries out of the file, or the file away."""
         places, files, name = index.places, self._files, index.file
         if files is None or name is None or not isinstance(places, _faiss_index()):
             return
@@ -243,7 +244,7 @@ class PlaceVectorIndex:
             return self._maps.setdefault(map_number, _MapIndex())
 
     def _is_replaced(self, index: _MapIndex, changes: Sequence[IndexChange]) -> bool:
-        """Whether something goes, and what this process reads is not the file that it goes from."""
+        """Whether an entry goes from a file that is not the one this process reads."""
         if self._files is None or index.file is None or all(change.vector is not None for change in changes):
             return False
         return not self._files.exists(index.file)

@@ -16,7 +16,7 @@ from revisit.service.engines.sql.repositories import new_row
 from revisit.service.ports.index import IndexChange
 
 SESSION_REMOVED = "SESSION_REMOVED"
-"""The kind of a change of all submaps of a session, whose number stands in the place of theirs."""
+"""The kind of a change of all submaps of a session: the session's number stands in place of theirs."""
 
 
 class SqlChangeLog:

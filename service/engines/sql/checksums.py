@@ -12,10 +12,10 @@ import numpy as np
 import structlog
 
 Value = str | int | float | bytes | None
-"""What a database keeps in a column."""
+"""Types of the values in a column."""
 
 _LENGTH_BEYOND = 1e-3
-"""How far the length of a descriptor may be from 1: thousands of times what rounding does."""
+"""How far the length of a descriptor may be from 1: thousands of times the rounding error."""
 
 
 log = structlog.get_logger(__name__)
@@ -41,7 +41,7 @@ def sound_descriptor(number: int, descriptor: bytes | None, checksum: int | None
 
 
 def is_sound(descriptor: bytes, checksum: int | None) -> bool:
-    """Whether a stored descriptor is what was written, as far as a checksum is there, and of length 1."""
+    """Whether a stored descriptor fits its checksum, if it has one, and is of length 1."""
     if checksum is not None and zlib.crc32(descriptor) != checksum & 0xFFFFFFFF:
         return False
     vector = np.frombuffer(descriptor, dtype="<f4") if len(descriptor) % 4 == 0 else np.zeros(0, np.float32)

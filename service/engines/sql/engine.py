@@ -1,4 +1,4 @@
-"""What the statements of this package need from the database that runs them, where standard SQL says nothing."""
+"""Needs of this package's statements beyond standard SQL, answered by each database."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from sqlalchemy.exc import IntegrityError
 class DatabaseEngine(Protocol):
     """A database engine, as the repositories see it.
 
-    The package of an engine also implements `Transactions` and brings the schema up to date. The repositories
-    rely on it for four things. A write transaction is serialisable: what it has read does not change before it commits.
+    The package of an engine also implements `Transactions` and brings the schema up to date. The repositories rely on
+    it for four things. A write transaction is serialisable: the rows that it has read do not change before it commits.
     A number that a table has given to a row is never given to another, even where the row is gone. Text is ordered by
     code point, as Python orders it. A statement that is refused (IntegrityError) ends the work that sent it.
     """

@@ -1,4 +1,4 @@
-"""Jobs in an SQL database: which runs next, whose leases have run out, which are long finished."""
+"""Jobs in an SQL database: the next to run, those with an expired lease, those long finished."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ class SqlJobs(SqlRepository[JobRecord]):
 
 @cache
 def _runnable(lost: bool) -> Select[Any]:
-    """The next queued job of a tenant, or the next whose lease is `lost`. Takes `_moment` and `tenant`."""
+    """The next queued job of a tenant, or the next with a `lost` lease. Takes `_moment` and `tenant`."""
     jobs = tables.jobs.c
     due = or_(jobs.lease_epoch != bindparam("epoch"), jobs.not_before_ms <= bindparam("now_ms"))
     ready = (
@@ -74,7 +74,7 @@ def _runnable(lost: bool) -> Select[Any]:
 
 @cache
 def _exhausted() -> Select[Any]:
-    """The jobs whose last allowed lease is lost. Takes `_moment`."""
+    """The jobs with their last allowed lease lost. Takes `_moment`."""
     return select(tables.jobs).where(_lost(), _counted() >= tables.jobs.c.max_attempts)
 
 

@@ -1,6 +1,6 @@
 """Columns of which a database has very many, packed: poses, and the evidence of rejected pairs (docs/decisions/0091).
 
-What an earlier version wrote is JSON, and is read as it is.
+Columns of an earlier version are JSON, and are read as such.
 """
 
 from __future__ import annotations
@@ -88,7 +88,7 @@ def packed_brief(evidence: dict[str, Any]) -> bytes | None:
         if evidence.keys() == _RULES | {"measurement"}:
             return _OF_PAIR + _packed_measurement(evidence["measurement"]) + _packed_rules(evidence)
     except (ValueError, TypeError, OverflowError, struct.error, np.linalg.LinAlgError):
-        pass  # a number beyond what the bytes hold
+        pass  # a number too large for the bytes
     return None
 
 
@@ -139,7 +139,7 @@ def _rules(data: bytes) -> dict[str, Any]:
 def _packed_covariance(covariance: list[list[float]]) -> list[float]:
     """The factor L of L L^T = covariance: an exponent of each of its 6 rows, and 21 numbers at most 1.
 
-    Whatever rounding does to a factor, the product is the covariance of something.
+    The product of rounded factors is still a valid covariance.
     """
     factor = np.linalg.cholesky(np.array(covariance, dtype=np.float64))
     exponents = np.frexp(np.abs(factor).max(axis=1))[1]

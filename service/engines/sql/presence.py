@@ -1,4 +1,4 @@
-"""What is being deleted is not seen any more: one row of `deletions` hides a session or a map with all that is in it.
+"""Resources under deletion are hidden: one row of `deletions` hides a session or a map with all its content.
 
 The condition costs a look at an empty table where nothing is being deleted, once a statement.
 """
@@ -25,7 +25,7 @@ SESSIONS_OF: dict[Table, tuple[str, ...]] = {
     tables.map_tiles: (),
     tables.map_files: (),
 }
-"""The tables of what is in a map, and the columns that name the sessions with which a row goes."""
+"""The tables of a map's content, and the columns that name the sessions with which a row goes."""
 
 
 @cache

@@ -56,7 +56,7 @@ REVISED_AT_ONCE = 500
 
 
 class SqlRepository(Generic[R]):
-    """`Repository` over a table whose columns are the fields of the record."""
+    """`Repository` over a table with the fields of the record as columns."""
 
     def __init__(
         self,
@@ -68,7 +68,7 @@ class SqlRepository(Generic[R]):
         *,
         sees_all: bool = False,
     ) -> None:
-        """`on_change` hears each add and replace; `sees_all`: rows of what is being deleted are seen, too."""
+        """`on_change` gets each add and replace; `sees_all`: also rows under deletion."""
         self._connection = connection
         self._engine = engine
         self._table = table
@@ -188,15 +188,15 @@ class SqlRepository(Generic[R]):
         return self._connection.execute(_some_deleted(self._table, field), asked).rowcount
 
     def _rows_where(self, asked: Asked) -> Select[Any]:
-        """The rows that have what is asked."""
+        """The rows that match."""
         return _rows_where(self._table, self._sees_all, *_given_and_absent(asked))
 
     def _count_where(self, asked: Asked) -> Select[int]:
-        """How many rows have what is asked."""
+        """The number of rows that match."""
         return _count_where(self._table, self._sees_all, *_given_and_absent(asked))
 
     def _where(self, asked: Asked) -> ColumnElement[bool]:
-        """Whether a row has what is asked, and is seen."""
+        """Whether a row matches and is visible."""
         return and_(_matches(self._table, asked), seen(self._table, self._sees_all))
 
     def _found(self, asked: Asked, after: int, limit: int | None) -> list[R]:
@@ -356,7 +356,7 @@ def _found_submaps(sees_all: bool) -> Select[Any]:
 
 @cache
 def _path(sees_all: bool, *, back: bool) -> Select[Any]:
-    """What `SubmapRepository.path` tells of the submaps of a session from `from_ordinal` on, or back."""
+    """The rows of `SubmapRepository.path` for a session from `from_ordinal` on, or back."""
     submaps = tables.submaps.c
     query = select(*(submaps[field.name] for field in dataclasses.fields(PathPoint)))
     query = query.where(_has(tables.submaps, ("tenant", "map_id", "session_id"), ()), seen(tables.submaps, sees_all))
@@ -398,7 +398,7 @@ def _rows_where(table: Table, sees_all: bool, given: tuple[str, ...], absent: tu
 def _rows_after(
     table: Table, sees_all: bool, given: tuple[str, ...], absent: tuple[str, ...], *, limited: bool
 ) -> Select[Any]:
-    """The rows whose numbers are above `after_number`, in their order; `at_most` so many of them where `limited`."""
+    """The rows numbered above `after_number`, in their order; `at_most` so many of them where `limited`."""
     number = table.c.number
     rows = _rows_where(table, sees_all, given, absent).where(number > bindparam("after_number")).order_by(number)
     return rows.limit(bindparam("at_most")) if limited else rows
@@ -406,7 +406,7 @@ def _rows_after(
 
 @cache
 def _in_order_of_fields(table: Table, record: type) -> Callable[[Row[Any]], tuple[Any, ...]]:
-    """What brings the columns of a row into the order of the record's fields."""
+    """A getter that brings the columns of a row into the order of the record's fields."""
     columns = list(table.columns.keys())
     return itemgetter(*(columns.index(field.name) for field in dataclasses.fields(record)))
 
@@ -426,7 +426,7 @@ def _values_named(table: Table, sees_all: bool, field: str) -> Select[Any]:
 
 @cache
 def _some_deleted(table: Table, field: str) -> Delete:
-    """Deletes `at_most` so many rows of tenant `its_tenant` whose `field` has one of `its_values`."""
+    """Deletes at most `at_most` rows of tenant `its_tenant` with one of `its_values` in `field`."""
     values: BindParameter[Any] = bindparam("its_values", expanding=True)
     own = table.c.tenant.concat("") == bindparam("its_tenant")
     some = select(table.c.number).where(table.c[field].in_(values), own).limit(bindparam("at_most"))
@@ -434,12 +434,12 @@ def _some_deleted(table: Table, field: str) -> Delete:
 
 
 def seen(table: Table, sees_all: bool) -> ColumnElement[bool]:
-    """Whether a row is seen by those who see everything, or not."""
+    """Condition of visible rows: none for readers of everything."""
     return true() if sees_all else present(table)
 
 
 def _matches(table: Table, asked: Asked) -> ColumnElement[bool]:
-    """Whether a row has what is asked."""
+    """Condition of the rows that match."""
     return _has(table, *_given_and_absent(asked))
 
 

@@ -1,7 +1,7 @@
 """Tables: one per record of `contract.records`, a column per field.
 
-Statements are built from them; the schema itself is created by migrations/, which also say what no table here can: that
-a number is never given out twice, and which rows an index holds (`info["where"]`).
+Statements are built from them; the schema itself is created by migrations/, which also state two more rules: a number
+is never given out twice, and an index may hold some rows only (`info["where"]`).
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ NAMING = {
 metadata = MetaData(naming_convention=NAMING)
 
 ANSWERED_QUERIES = "priority = 0"
-"""The condition of the index of jobs by their end: those of queries, whose answers are forgotten after a while."""
+"""The condition of the index of jobs by their end: those of queries, with answers that expire."""
 
 
 class JsonTuple(TypeDecorator[tuple[Any, ...]]):
@@ -55,7 +55,7 @@ class JsonTuple(TypeDecorator[tuple[Any, ...]]):
 
 
 def _numbered(name: str, key: tuple[str, ...], *columns: Any) -> Table:
-    """A table whose rows have a tenant, a number that is never used twice, and a unique `key` within the tenant."""
+    """A table of rows with a tenant, a number that is never used twice, and a `key` unique within the tenant."""
     return Table(
         name,
         metadata,

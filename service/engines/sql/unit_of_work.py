@@ -58,7 +58,7 @@ class Stored(Generic[Kind]):
     def __init__(
         self, kind: Callable[..., Kind], table: Table, record: type, told: Callable[[EventLog], Any] | None = None
     ) -> None:
-        """`told` gives what hears each add and replace, and notes it as an event."""
+        """`told` gives the listener that notes each add and replace as an event."""
         self._kind = kind
         self._table = table
         self._record = record
@@ -92,7 +92,7 @@ class SqlUnitOfWork:
     lease_ms: int
     clock: Clock
     sees_all: bool = False
-    """Whether rows of what is being deleted are seen."""
+    """Whether rows under deletion are visible."""
 
     maps = stored(tables.maps, MapRecord)
     """Maps by (map_id)."""
@@ -115,7 +115,7 @@ class SqlUnitOfWork:
     early_corrections = stored(tables.early_corrections, EarlyCorrectionRecord)
     """Corrections ahead of the next version by (map_id, session_id)."""
     deletions = stored(tables.deletions, DeletionRecord)
-    """What is being deleted by (map_id, session_id)."""
+    """Resources under deletion by (map_id, session_id)."""
     map_merges = stored(tables.map_merges, MapMergeRecord)
     """Merges into maps by (map_id, merge_id)."""
     map_tiles = stored(tables.map_tiles, MapTileRecord)
@@ -131,7 +131,7 @@ class SqlUnitOfWork:
 
     @cached_property
     def everything(self) -> SqlUnitOfWork:
-        """The same transaction, which also sees the rows of what is being deleted."""
+        """The same transaction, with rows under deletion visible, too."""
         return replace(self, sees_all=True)
 
     @cached_property
@@ -146,7 +146,7 @@ class SqlUnitOfWork:
 
     @cached_property
     def events(self) -> SqlEventLog:
-        """The log of what happens in the maps."""
+        """The event log of the maps."""
         return SqlEventLog(self.connection, self.engine)
 
     @cached_property

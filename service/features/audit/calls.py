@@ -17,7 +17,7 @@ from revisit.service.ports.storage import Storage
 from revisit.service.ports.transactions import UnitOfWork
 
 NOTHING_BEFORE = "0" * 64
-"""What stands for the previous hash in the first row."""
+"""The previous hash of the first row."""
 
 MAX_SUBJECT_CHARACTERS = 256
 _BATCH = 1000
@@ -25,7 +25,7 @@ _BATCH = 1000
 
 @dataclass(frozen=True)
 class AuditEntry:
-    """What is to be noted: who did what to which subject. `detail` is JSON and holds no secret."""
+    """An audit entry: actor, action, subject. `detail` is JSON and holds no secret."""
 
     tenant: str
     actor: str
@@ -44,7 +44,7 @@ class AuditVerdict:
 
 
 def noted(tenant: TenantId, action: str, subject: str, **detail: Any) -> AuditEntry:
-    """An entry about what the caller of this request does."""
+    """An entry for an action of this request's caller."""
     return AuditEntry(tenant, current_actor(), action, printable(subject), detail)
 
 
@@ -85,7 +85,7 @@ def judge(rows: Iterable[AuditRecord], highest: int) -> AuditVerdict:
 
 
 def printable(text: str) -> str:
-    """ASCII of bounded length without control characters: what clients choose may be part of it."""
+    """ASCII of bounded length without control characters: clients choose a part of it."""
     return "".join(c if " " <= c <= "~" else "?" for c in text[:MAX_SUBJECT_CHARACTERS])
 
 

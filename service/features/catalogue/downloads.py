@@ -28,7 +28,7 @@ from revisit.service.ports.storage import require_descriptor
 
 
 class DownloadKind(StrEnum):
-    """What of a submap can be downloaded."""
+    """Downloads of a submap."""
 
     MESH = "mesh"
     POINTS = "points"
@@ -54,7 +54,7 @@ MEDIA_TYPES = {
 
 
 RENDERING_BYTES = 48 * 2**20
-"""What a file is counted as in the budget until it is made and its size is known, as that of 2,000,000 points."""
+"""A file's share of the budget until its size is known: as much as 2,000,000 points."""
 
 Room = Callable[[int], Awaitable[None]]
 """Waits until the budget has room for so many bytes of a file. Raises WorkersBusy."""
@@ -84,7 +84,7 @@ async def any_room(count: int) -> None:
 class Rendering:
     """Makes files: one at a time, for the largest takes several times its size for a moment, and tenants in turns.
 
-    Each is charged what it took of a core, made or not: a scene in glb takes hundreds of milliseconds.
+    Each is charged its time of a core, also a failed one: a scene in glb takes hundreds of milliseconds.
     """
 
     def __init__(self, in_flight: InFlight) -> None:
@@ -93,7 +93,7 @@ class Rendering:
         self._turns = Turns(1)
 
     async def of(self, tenant: TenantId, make: Callable[[], Download]) -> Download:
-        """The file that `make` makes, in a thread. Raises RateLimited, and what `make` raises."""
+        """The file that `make` makes, in a thread. Raises RateLimited, and the errors of `make`."""
         async with self._turns.of(tenant):
             self._in_flight.check_rate(tenant)
             spent_s: list[float] = []
@@ -107,7 +107,7 @@ class Rendering:
 
 
 def _timed(make: Callable[[], Download], spent_s: list[float]) -> Download:
-    """What `make` makes; what it took of a core is added to `spent_s`, seconds."""
+    """The result of `make`; its time of a core, seconds, is added to `spent_s`."""
     began_s = time.thread_time()
     try:
         return make()

@@ -1,4 +1,4 @@
-"""Meshes of submaps, made of their neural maps: what a worker does with these jobs."""
+"""Meshes of submaps, made of their neural maps by a worker."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class MeshMaking:
         self._recogniser = recogniser
 
     def run(self, lease: Lease) -> None:
-        """Make the file of a mesh and hand it over as a blob. Raises NotFound, NotReady, and what the method raises."""
+        """Make a mesh and hand its file over as a blob. Raises NotFound, NotReady, and the errors of the method."""
         job = lease.job
         neural_map, config = self._context.transactions.read(partial(self._asked, job=job)).result()
         mesh = self._recogniser.mesh(self._context.blobs.get(job.tenant, NEURAL_MAP_BLOB, neural_map), config)

@@ -17,7 +17,7 @@ from revisit.service.ports.blobs import MESH_BLOB
 from revisit.service.ports.storage import Storage
 
 MESH_POINTS = 500_000
-"""What a mesh costs: the 50 to 70 ms of a worker that a cloud of so many points takes, and three commits."""
+"""Cost of a mesh: the 50 to 70 ms of a worker that a cloud of so many points takes, and three commits."""
 
 
 class SubmapMeshes:

@@ -1,4 +1,4 @@
-"""What a map's version in force says of the odometry of a session, as findings of the session."""
+"""Faults of a session's odometry by the map's version in force, as findings of the session."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from revisit.service.ports.transactions import UnitOfWork
 
 @dataclass(frozen=True)
 class SessionFinding:
-    """Something that is unlikely to be meant in so many submaps of a session, and what most likely causes it."""
+    """A likely mistake in a number of submaps of a session, and its most likely cause."""
 
     code: str
     submaps: int

@@ -1,4 +1,4 @@
-"""Robots: who drives. A session may name the robot that recorded it."""
+"""Robots. A session may name the robot that recorded it."""
 
 from __future__ import annotations
 

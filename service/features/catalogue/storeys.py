@@ -1,7 +1,7 @@
-"""Storeys: what is on different ones is never compared (docs/decisions/0281).
+"""Storeys: sessions on different ones are never compared (docs/decisions/0281).
 
-A storey is the level of a building, by its name. Storeys of one plan cannot be told apart by what a sensor sees there.
-What nobody has said the storey of is compared with everything.
+A storey is the level of a building, by its name. A sensor cannot tell storeys of one plan apart.
+A session without a storey is compared with all others.
 """
 
 from __future__ import annotations

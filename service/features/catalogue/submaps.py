@@ -49,7 +49,7 @@ class Meshes(Protocol):
     """Meshes of submaps, made when they are asked for."""
 
     async def file(self, tenant: TenantId, key: SubmapKey, extension: str, room: Room) -> bytes:
-        """The mesh of a submap as a file, once `room` has room for it. Raises NoAnswer, and what its maker met."""
+        """The mesh of a submap as a file, once `room` has room for it. Raises NoAnswer, and the error of its worker."""
         ...
 
 
@@ -67,7 +67,7 @@ class Submaps:
         policy: Policy,
         meshes: Meshes,
     ) -> None:
-        """`collector` deletes the blobs of what was deleted; files are made by `rendering`."""
+        """`collector` deletes the blobs of deleted rows; `rendering` makes files."""
         self._storage = storage
         self._lists = lists
         self._admission = admission

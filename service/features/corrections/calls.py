@@ -21,7 +21,7 @@ from revisit.service.ports.storage import Storage, require_map, require_session
 from revisit.service.ports.transactions import UnitOfWork
 
 SOON_S = 0.3
-"""A loop is in the log of events before what it corrects is stored: a watch looks again after so long."""
+"""A loop is in the log of events before its corrections are stored: a watch looks again after so long."""
 
 
 @dataclass(frozen=True)
@@ -87,7 +87,7 @@ def _correction(uow: UnitOfWork, tenant: TenantId, key: SessionKey) -> Correctio
 def _newer(
     uow: UnitOfWork, tenant: TenantId, map_id: str, after: int, session_id: str | None, early: dict[str, int]
 ) -> tuple[int, list[CorrectionView]]:
-    """The version in force, and what it says that was not told: of a version above `after` everything."""
+    """The version in force, and its news: of a version above `after` everything."""
     version = require_map(uow, tenant, map_id).map_version
     if session_id is not None:
         require_session(uow, tenant, SessionKey(map_id, session_id))

@@ -1,7 +1,7 @@
 """Corrections by single loops, ahead of the optimisation that follows: a worker keeps its last map solved in memory.
 
 Provisional: they rest on the version in force and on loops that were each held against its poses, and nothing else of
-the map is moved by them. A version replaces them; so does whatever makes a part of the map's graph void.
+the map is moved by them. A version replaces them; so does every change that makes a part of the map's graph void.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ class _Later:
 
 @dataclass(frozen=True)
 class _News:
-    """What came into a map since its version: loops that no version has seen, and submaps.
+    """The additions to a map since its version: loops that no version has seen, and submaps.
 
     `task` is there where the map has to be solved first; `loops` are the best of those up to number `last_loop`.
     """
@@ -74,7 +74,7 @@ class _News:
 
 @dataclass
 class _Held:
-    """A map as this worker keeps it: what it is of, the corrections of its version, and what it has taken in."""
+    """A map in this worker's memory: its version, the corrections of that, and the additions so far."""
 
     map: tuple[TenantId, str]
     key: tuple[int, int, int]
@@ -105,9 +105,9 @@ class EarlyCorrections:
             self._held = None
 
     def update(self, tenant: TenantId, map_id: str) -> None:
-        """Add the accepted loops of a map that its version has not seen, and store what they correct.
+        """Add the accepted loops of a map that its version has not seen, and store their corrections.
 
-        Where the map is optimised by itself. What fails here is logged: the optimisation follows.
+        For maps that are optimised by themselves. Errors are logged: the optimisation follows.
         """
         if not self._policy.optimise_after_loops:
             return
@@ -127,7 +127,7 @@ class EarlyCorrections:
         if news is None:
             return
         if news.task is not None:
-            self._held = None  # what it takes is needed for the next one
+            self._held = None  # its memory is needed for the next one
             self._held = self._solved(news.map, news.task)
         held = self._held
         if held is None or not _added(held, news):
@@ -240,7 +240,7 @@ def _rows(held: _Held, record: MapRecord, now_ns: int) -> list[EarlyCorrectionRe
 
 
 def _store(uow: UnitOfWork, known: MapRecord, rows: list[EarlyCorrectionRecord]) -> None:
-    """Replace what rests on fewer loops, unless the map has changed since it was read."""
+    """Replace corrections that rest on fewer loops, unless the map has changed since it was read."""
     current = uow.maps.get(known.tenant, known.map_id)
     if current is None or _key(current) != _key(known):
         return

@@ -53,7 +53,7 @@ def blob_of_tile(record: MapTileRecord) -> Blob:
 
 
 def blob_of_file(record: MapFileRecord) -> Blob:
-    """The blob that says what the bytes of a map's file are."""
+    """The blob with the layout of a map file's bytes."""
     return MAP_LAYOUT_BLOB, record.layout_sha256
 
 
@@ -90,9 +90,9 @@ class BlobCollector:
 def collect_blobs(uow: UnitOfWork, blobs: BlobStore, tenant: TenantId, doomed: Iterable[Blob]) -> None:
     """Delete those of `doomed` that no row refers to.
 
-    Runs alone in a write transaction after the rows were deleted, because a rollback brings no file back. Who adds a
-    reference to such a blob checks in a write transaction too that the blob is there (`Storage.keep_blob`). So either
-    that transaction sees the blob missing, or this one sees the reference.
+    Runs alone in a write transaction after the rows were deleted, because a rollback brings no file back. A writer that
+    adds a reference to such a blob checks in a write transaction too that the blob is there (`Storage.keep_blob`). So
+    either that transaction sees the blob missing, or this one sees the reference.
     """
     for kind, sha256 in sorted(unreferenced(uow, tenant, doomed)):
         blobs.delete(tenant, kind, sha256)
@@ -111,7 +111,7 @@ def unreferenced(uow: UnitOfWork, tenant: TenantId, blobs: Iterable[Blob]) -> se
 def _named(uow: UnitOfWork, tenant: TenantId, kind: str, hashes: Collection[str]) -> set[str]:
     """Those of these blobs of a kind that a row names.
 
-    No row names the cloud of a query, or a mesh: who asked deletes it with the answer.
+    No row names the cloud of a query, or a mesh: the asking process deletes it with the answer.
     """
     if kind == CLOUD_BLOB:
         field = FIELDS[CLOUD_BLOB]

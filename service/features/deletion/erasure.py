@@ -1,4 +1,4 @@
-"""What was marked as deleted goes, a portion in each transaction, and other writers get their turn in between.
+"""Erasure: marked rows go, a portion in each transaction, with turns for other writers in between.
 
 A portion is small enough that nobody waits long for it, and after each nothing is written for as long as it took. A
 crash leaves the mark: the rows that are left are nobody's to see, and go after the next start.
@@ -45,7 +45,7 @@ VERSIONS = 2
 """Rows of one that hold the poses of a session, or the verdicts of a map: megabytes each."""
 
 AWAITED_S = 5.0
-"""How long whoever deletes waits for the end. What takes longer goes on without them."""
+"""Longest wait of a client for the end of its deletion, which goes on without it."""
 
 R = TypeVar("R", bound=Numbered)
 
@@ -58,7 +58,7 @@ left of this kind.
 
 
 class Erasure:
-    """Deletes the rows and blobs of what is marked, one portion after another, whatever they are of."""
+    """Deletes the rows and blobs of all marked resources, one portion after another."""
 
     def __init__(self, storage: Storage, collector: BlobCollector, clock: Clock) -> None:
         """`collector` deletes blobs that nothing names any more."""
@@ -69,7 +69,7 @@ class Erasure:
         self._under_way: dict[int, asyncio.Task[None]] = {}
 
     async def all(self) -> None:
-        """Erase everything that is marked: what an earlier run, or somebody who did not wait, has left."""
+        """Erase everything that is marked: leftovers of an earlier run, or of a client that did not wait."""
         marked = await self._storage.read(lambda uow: uow.deletions.of_all_tenants())
         for deletion in marked:
             await asyncio.wait({self._begun(deletion)})
@@ -178,7 +178,7 @@ def _versions(uow: UnitOfWork, deletion: DeletionRecord, _: int) -> set[Blob] | 
 
 
 def _sessions(uow: UnitOfWork, deletion: DeletionRecord, _: int) -> set[Blob] | None:
-    """Sessions themselves, of which nothing is left; with those of a map what was ahead of its versions."""
+    """Sessions themselves, empty by now; with those of a map the corrections ahead of its versions."""
     uow.early_corrections.delete(deletion.tenant, **_of(deletion))
     return set() if _without(uow.sessions, deletion, ROWS) else None
 
@@ -195,17 +195,17 @@ def _mark(uow: UnitOfWork, deletion: DeletionRecord, _: int) -> set[Blob] | None
 
 
 _STEPS: tuple[Step, ...] = (_submaps, _scans, _poses, _tiles, _files, _versions, _sessions, _mark)
-"""In an order in which no row is left without what it belongs to."""
+"""In an order that leaves no row without its parent."""
 
 
 def _of(deletion: DeletionRecord) -> dict[str, str]:
-    """What tells the rows of a deletion."""
+    """The condition of the rows of a deletion."""
     of_session = {"session_id": deletion.session_id} if deletion.session_id else {}
     return {"map_id": deletion.map_id, **of_session}
 
 
 def _without(rows: Repository[R], deletion: DeletionRecord, limit: int) -> list[R]:
-    """Delete a portion of the rows of a deletion; what they were."""
+    """Delete and return a portion of the rows of a deletion."""
     some = rows.some(deletion.tenant, limit, **_of(deletion))
     numbers = [row.number for row in some]
     if numbers:

@@ -1,7 +1,7 @@
 """Deleting: a submap in one transaction; a session or a map is marked in one row, and nobody sees it any more.
 
-The rows of what is marked go in portions (see `erasure`), then the blobs that no row names any more. A crash in between
-leaves blobs, which the next sweep deletes, and rows that nobody sees, which the next start goes on to delete.
+The rows of marked resources go in portions (see `erasure`), then the blobs that no row names any more. A crash in
+between leaves blobs, which the next sweep deletes, and hidden rows, which the next start goes on to delete.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from revisit.service.features.graph.session_poses import forget_submap
 from revisit.service.ports.transactions import UnitOfWork
 
 SUBMAP_DELETED = {"outcome": "the submap was deleted"}
-"""The result of a job whose submap is gone."""
+"""The result of a job for a deleted submap."""
 
 
 def delete_submap(uow: UnitOfWork, record: MapRecord, submap: SubmapRecord, at_ns: int) -> set[Blob]:
@@ -38,7 +38,7 @@ def delete_submap(uow: UnitOfWork, record: MapRecord, submap: SubmapRecord, at_n
 def mark_session(uow: UnitOfWork, record: MapRecord, session: SessionRecord, at_ns: int) -> set[Blob]:
     """Nobody sees a session of a map any more, with its scans, its submaps and their loop closures.
 
-    The blobs of what was made of it.
+    The blobs derived from it.
     """
     tenant, map_id, session_id = session.tenant, session.map_id, session.session_id
     made = forget_made(uow, tenant, map_id, session_id)

@@ -35,7 +35,7 @@ class EventView:
     """An event as clients see it: its resource as it stands when the event is told.
 
     OPENED is the first of every watch, with the number that it begins behind. FORGOTTEN says that events before it are
-    no longer there: the lists tell what became of their resources.
+    no longer there: the lists have the present state of their resources.
     """
 
     number: int
@@ -82,7 +82,7 @@ class Events:
         silent_s = 0.0
         while not self.admission.stopping:
             if last > seen:
-                # Whoever has much to catch up on does not keep every reader of the database.
+                # A watch with much to catch up on does not keep every reader of the database.
                 async with self.turns.of(tenant):
                     told = await self.storage.read(partial(_told, tenant=tenant, map_id=map_id, seen=seen, last=last))
                 seen = told.seen
@@ -112,7 +112,7 @@ def _told(uow: UnitOfWork, tenant: TenantId, map_id: str, seen: int, last: int) 
 
 
 def events_of(uow: UnitOfWork, rows: Iterable[EventRecord]) -> list[EventView]:
-    """What rows tell, in their order: of several of one resource the last, of one that is gone nothing."""
+    """The events of rows, in their order: the last of each resource, none of one that is gone."""
     newest = {(row.kind, row.subject): row for row in rows}
     events = [_event_of(uow, row) for row in sorted(newest.values(), key=lambda row: row.number)]
     return [event for event in events if event is not None]

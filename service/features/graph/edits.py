@@ -10,9 +10,9 @@ from revisit.service.ports.transactions import UnitOfWork
 
 
 def note_edit(uow: UnitOfWork, tenant: TenantId, map_id: str) -> None:
-    """A loop has changed, or a submap or session is gone: what was corrected ahead of a version is forgotten.
+    """A loop has changed, or a submap or session is gone: corrections ahead of a version are forgotten.
 
-    What is only added needs no note. Raises NotFound.
+    Additions need no note. Raises NotFound.
     """
     record = require_map(uow, tenant, map_id)
     uow.early_corrections.delete(tenant, map_id=map_id)

@@ -1,4 +1,4 @@
-"""Where things lie in the map: what the version of a map in force says of its submaps and sessions."""
+"""Poses of submaps and sessions in the map, by its version in force."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class MapPose:
     map_version: int
 
     def of_child(self, T_parent_child: Matrix4) -> MapPose:
-        """The pose of what lies at `T_parent_child` (4, 4) in the frame whose pose this is."""
+        """The pose of a child at `T_parent_child` (4, 4) in this frame."""
         return MapPose(pose_row(pose_matrix(self.T_map) @ T_parent_child), self.frame, self.map_version)
 
 
@@ -50,7 +50,7 @@ class _SessionInMap:
 
 
 class KeptSessions:
-    """What versions of maps say of sessions, as it was read lately: 280 bytes a submap, of which an answer needs few.
+    """A cache of the poses of sessions by version: 280 bytes a submap, of which an answer needs few.
 
     A version does not change but for submaps that are deleted, and nobody asks for those. The number of a row is never
     used twice.
@@ -64,7 +64,7 @@ class KeptSessions:
         self._lock = threading.Lock()
 
     def get(self, numbers: Collection[int], *of: *tuple[TenantId, str, int, str]) -> _SessionInMap | None:
-        """What is kept of a tenant's map, version and session, where its row is still one of those `numbers`."""
+        """The cached poses of a tenant's map, version and session, if its row is still one of those `numbers`."""
         with self._lock:
             number, session = self._rows.get(of, (0, None))
             if number not in numbers:
@@ -73,7 +73,7 @@ class KeptSessions:
             return session
 
     def keep(self, row: SessionPosesRecord, session: _SessionInMap) -> None:
-        """Keep what the row says."""
+        """Keep the poses of the row."""
         of = row.tenant, row.map_id, row.version, row.session_id
         with self._lock:
             if of in self._rows:
@@ -123,7 +123,7 @@ class MapFrames:
         return MapPose(pose_row(T_map_submap), session.frame, self._version)
 
     def loops(self, records: Iterable[LoopRecord]) -> dict[int, LoopInMap]:
-        """The ends of those loops, by number, whose submaps share a frame."""
+        """The ends of the loops, by number, with both submaps in one frame."""
         if not self._version:
             return {}
         records = list(records)
@@ -157,7 +157,7 @@ class MapFrames:
     def _poses(self, sessions: Mapping[int, str]) -> dict[int, MapPose]:
         """The poses of submaps by number, of which `sessions` gives the session.
 
-        Only of those that are not in the version, but whose session is, the rows are read.
+        Rows are read only of submaps that are not in the version, with a session that is.
         """
         known = {number: self._known(session_id, number) for number, session_id in sessions.items()}
         missing = sorted(
@@ -195,7 +195,7 @@ class MapFrames:
         return session
 
     def _rows(self) -> Collection[int]:
-        """The numbers of the rows of the version, without what they hold."""
+        """The numbers of the rows of the version, without their content."""
         if self._numbers is None:
             rows = self._uow.session_poses
             self._numbers = rows.distinct(self._tenant, "number", map_id=self._map_id, version=self._version)

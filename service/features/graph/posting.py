@@ -28,7 +28,7 @@ def optimise_soon(
 ) -> None:
     """Let a map be optimised once its new loops have settled, where the service does that by itself.
 
-    Enough of them must wait, or a person have `decided` on one, who does not wait for more.
+    Enough of them must wait, or a person have `decided` on one: that does not wait for more.
     """
     least = policy.optimise_after_loops
     if not least or waiting_optimisation(uow, tenant, map_id) is not None:

@@ -35,7 +35,7 @@ class PackedSubmaps:
 
     @classmethod
     def of(cls, data: bytes) -> PackedSubmaps:
-        """What `packed` has packed; views of `data`, but for the numbers, which are sought."""
+        """The inverse of `packed`; views of `data`, but for the numbers, which are sought."""
         rows = np.frombuffer(data, _SUBMAP)
         return cls(rows["number"].copy(), rows["T_map_submap"], rows["covariance"])
 
@@ -66,7 +66,7 @@ def pack_loops(loops: Sequence[JudgedLoop]) -> bytes:
 
 
 def unpack_loops(data: bytes) -> list[JudgedLoop]:
-    """What `pack_loops` has packed."""
+    """The inverse of `pack_loops`."""
     rows = np.frombuffer(data, _LOOP)
     values = zip(rows["number"].tolist(), rows["state"].tolist(), rows["squared_distance"].tolist(), strict=True)
     return [JudgedLoop(number, _STATES[state], distance) for number, state, distance in values]
@@ -78,7 +78,7 @@ def hash_of_loops(data: bytes) -> str:
 
 
 def hash_of_session(session_number: int, frame: str, T_map_odom: Matrix4, submaps: bytes) -> str:
-    """SHA-256 (hex) of what a version says of a session."""
+    """SHA-256 (hex) of a session's poses in a version."""
     digest = hashlib.sha256(f"{session_number}:{frame}:{len(submaps)}:".encode())
     digest.update(np.asarray(T_map_odom, dtype="<f8").tobytes())
     digest.update(submaps)
@@ -86,7 +86,7 @@ def hash_of_session(session_number: int, frame: str, T_map_odom: Matrix4, submap
 
 
 def hash_of_version(record: MapVersionRecord, sessions: Iterable[str]) -> str:
-    """SHA-256 (hex) of a version: of its verdicts and of its sessions, whose hashes are given in any order."""
+    """SHA-256 (hex) of a version: of its verdicts and of its sessions' hashes, in any order."""
     return hashlib.sha256("\n".join([record.loops_hash, *sorted(sessions)]).encode()).hexdigest()
 
 

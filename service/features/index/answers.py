@@ -1,4 +1,4 @@
-"""What a search asks and answers, and both as JSON: a worker writes the answer into the operation."""
+"""Criteria and answers of a search, and both as JSON: a worker writes the answer into the operation."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from revisit.service.features.graph.map_frames import MapPose
 
 @dataclass(frozen=True)
 class SearchCriteria:
-    """What a hit must satisfy. All optional but `k` (1 to 100).
+    """The conditions of a hit. All optional but `k` (1 to 100).
 
     `leave_distance_m` leaves out submaps of the query's own drive that it has just left (`core.acceptance.revisits`);
-    `prior_position_m` with `radius_m` keeps hits whose position (in the odometry frame of `only_session`, or of the
-    map's one session) is near. `storey`: where a cloud or descriptor was taken; submaps of sessions on another one are
-    no hits. A stored submap has that of its session.
+    `prior_position_m` with `radius_m` keeps hits that are near (in the odometry frame of `only_session`, or of the
+    map's one session). `storey`: where a cloud or descriptor was taken; submaps of sessions on another one are no hits.
+    A stored submap has that of its session.
     """
 
     k: int = 20
@@ -110,7 +110,7 @@ def criteria_to_json(criteria: SearchCriteria) -> dict[str, Any]:
 
 
 def criteria_from_json(data: dict[str, Any]) -> SearchCriteria:
-    """The inverse of `criteria_to_json`; what an earlier version asked for besides is not."""
+    """The inverse of `criteria_to_json`; other members, of an earlier version, are ignored."""
     prior = data["prior_position_m"]
     known = {field.name: data[field.name] for field in fields(SearchCriteria) if field.name in data}
     return SearchCriteria(**{**known, "prior_position_m": None if prior is None else tuple(prior)})

@@ -74,7 +74,8 @@ class IndexKeeper:
         log.info("index_loaded", maps=len(maps), submaps=submaps, took_s=round(time.perf_counter() - began_s, 3))
 
     async def tend_files(self) -> int:
-        """Bring the large maps up to the database, so that what was deleted leaves their files, too; save what is due.
+        """Bring the large maps up to the database, so that deleted entries leave their files, too; write the files that
+        are due.
 
         How many were saved.
         """
@@ -148,13 +149,13 @@ class IndexKeeper:
             self._last_submap[number] = window[-1].number
             of_window &= held <= window[-1].number
         held = held[of_window]
-        # One whose descriptor is damaged is in no index.
+        # One with a damaged descriptor is in no index.
         sound = [submap for submap in window if submap.descriptor is not None]
         live = {submap.number for submap in sound}
         suspects = (live ^ set(held.tolist())).union(index.differing(number, [_place(submap) for submap in sound]))
         if not suspects:
             return 0, len(window)
-        # What has changed since the index was looked at differs rightly.
+        # Changes since the index was read differ rightly.
         newer = read_here(lambda uow: uow.changes.since(tenant, number, seq))
         if any(change.whole_session for change in newer):
             return 0, len(window)
@@ -172,7 +173,7 @@ class IndexKeeper:
 
 
 def _next_map(uow: UnitOfWork, after: int) -> MapRecord | None:
-    """The first map of any tenant whose number is above `after`."""
+    """The first map of any tenant numbered above `after`."""
     return next(iter(uow.maps.of_all_tenants(after=after, limit=1)), None)
 
 

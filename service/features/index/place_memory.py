@@ -94,7 +94,7 @@ class PlaceMemory:
         where: Callable[[], VectorFilter],
         news: _News | None = None,
     ) -> tuple[list[VectorMatch], int]:
-        """What the index finds, and the change as of which it knows everything; `news` of it may have been read."""
+        """The hits of the index, and the change up to which it is complete; `news` of it may have been read."""
         tenant, number = map_record.tenant, map_record.number
         while True:
             seq = self.catch_up(tenant, number) if news is None else self._apply(number, news)
@@ -105,7 +105,7 @@ class PlaceMemory:
             # The map was forgotten in between, to be loaded again.
 
     def catch_up(self, tenant: TenantId, number: int) -> int:
-        """Apply what the database has and the index has not, in portions; the last change that was read."""
+        """Apply the changes that the index lacks, in portions; the last change that was read."""
         while True:
             before = self._index.seq(number) or self._loaded(tenant, number)
             changes = self._transactions.read_here(partial(_changes, tenant=tenant, number=number, seq=before))
@@ -129,7 +129,7 @@ class PlaceMemory:
         return self._index.seq(number)
 
     def answer(self, question: Callable[[UnitOfWork], Question], criteria: SearchCriteria) -> SearchResult:
-        """The answer to the search for what `question` reads. Raises what that raises; BadField."""
+        """The answer to the search that `question` reads. Raises its errors; BadField."""
         version = self._transactions.version()
         asked, news, found = self._transactions.read_here(lambda uow: self._answer(uow, question, criteria, version))
         if found is None:
@@ -141,7 +141,7 @@ class PlaceMemory:
     def _answer(
         self, uow: UnitOfWork, question: Callable[[UnitOfWork], Question], criteria: SearchCriteria, version: int | None
     ) -> tuple[Question, _News | None, SearchResult | None]:
-        """As `_asked`, and the answer: where the index knows in the end what this snapshot knows, and no more."""
+        """As `_asked`, and the answer: if the index is in the end at this snapshot, and no further."""
         asked, news = self._asked(uow, question, version)
         record, where, found = asked.map_record, asked.where, None
         if news is not None:
@@ -154,7 +154,7 @@ class PlaceMemory:
     def _asked(
         self, uow: UnitOfWork, question: Callable[[UnitOfWork], Question], version: int | None
     ) -> tuple[Question, _News | None]:
-        """What is searched for, and in the same snapshot what the index of the map has yet to learn.
+        """The search, and in the same snapshot the changes that the index of the map lacks.
 
         Nothing where it knew everything as of `version`, and nothing was committed since. No news of an index that is
         still to be loaded, or that lacks more than a portion.
@@ -192,7 +192,7 @@ class PlaceMemory:
 
 
 def _changes(uow: UnitOfWork, tenant: TenantId, number: int, seq: int) -> list[IndexChange]:
-    """A portion of what follows change `seq`, and one more, if there is any."""
+    """A portion of the changes after `seq`, and one more, if there is any."""
     return uow.changes.since(tenant, number, seq, PORTION + 1)
 
 
@@ -227,7 +227,7 @@ def vector_filter(
 ) -> VectorFilter:
     """The filter of a client's search; `query` is the stored submap that asks, if one does: its storey is known.
 
-    Raises NotFound; BadField for a prior without the session in whose odometry frame it is, where there are several.
+    Raises NotFound; BadField for a prior without the session of its odometry frame, where there are several.
     """
     storey = criteria.storey if query is None else storey_of(uow, tenant, map_id, query.session_id)
     if criteria.prior_position_m is not None and criteria.only_session is None and _has_sessions(uow, tenant, map_id):

@@ -50,7 +50,7 @@ SAME_POSE = 1e-9
 """Numbers of a pose that differ by less, metres or none, are the same number rounded twice."""
 
 SESSIONS_REMEMBERED = 4096
-"""Sessions whose window rules are kept in memory, about 1 kB each."""
+"""Sessions with their window rules in memory, about 1 kB each."""
 
 
 FirstSeqFrom = Callable[[float], int | None]
@@ -83,7 +83,7 @@ class ScanAck:
 
 @dataclass(frozen=True)
 class ResumePoint:
-    """What a client remembers of a session: the token of an earlier stream, if any, and what was acknowledged."""
+    """A client's memory of a session: the token of an earlier stream, if any, and the last acknowledged scan."""
 
     token: str = ""
     acknowledged_seq: int = 0
@@ -163,9 +163,9 @@ class Scans:
     async def append(self, tenant: TenantId, command: AppendScan, *, patient: bool = False) -> ScanAck:
         """Store one scan durably; returns after the commit. A `patient` one waits for a slot.
 
-        Raises what decoding and validation raise, NotFound, SessionFinished, SequenceGap(expected), AlreadyExists for
-        other content under the number of a stored scan, WorkersBusy, RateLimited, QuotaReached, Draining, StorageFull,
-        StorageUncertain.
+        Raises the errors of decoding and validation, NotFound, SessionFinished, SequenceGap(expected), AlreadyExists
+        for other content under the number of a stored scan, WorkersBusy, RateLimited, QuotaReached, Draining,
+        StorageFull, StorageUncertain.
         """
         self._admission.require_storage()
         session = await self._storage.read(partial(require_session, tenant=tenant, key=command.session))
@@ -181,7 +181,7 @@ class Scans:
             return await self._store(tenant, command.session, accepted)
 
     async def _replayed(self, session: SessionRecord, accepted: _Accepted) -> ScanAck:
-        """The answer to a scan whose number is taken. Raises AlreadyExists unless it is the stored one again."""
+        """The answer to a scan with a number that is taken. Raises AlreadyExists unless it is the stored one again."""
         stored = await self._storage.read(partial(_stored_scan, session=session, seq=accepted.seq))
         if stored is not None and not await self._is_stored(stored, accepted):
             raise _taken(session, accepted.seq)

@@ -62,7 +62,7 @@ CloudInput: TypeAlias = EncodedCloud | DecodedCloud
 
 @dataclass(frozen=True)
 class StoredCloud:
-    """What is kept of a cloud: finite points (n, 3) float32 metres in the sensor frame, and intensity (n,) if sent.
+    """The stored part of a cloud: finite points (n, 3) float32 metres in the sensor frame, and intensity (n,) if sent.
 
     `quantised`: the same as the client sent it, where it came in that form.
     """
@@ -75,7 +75,7 @@ class StoredCloud:
 def accept_cloud(cloud: CloudInput, max_points: int) -> tuple[StoredCloud, CloudReport]:
     """Decode where needed, validate, and keep the finite points with their intensity.
 
-    Raises what `revisit.formats.decode_cloud` and `core.scan.validate_cloud` raise, and TooLarge above `max_points`.
+    Raises the errors of `revisit.formats.decode_cloud` and `core.scan.validate_cloud`, and TooLarge above `max_points`.
     """
     decoded, sent = _decoded(cloud)
     if len(decoded.points) > max_points:
@@ -92,7 +92,7 @@ def accept_cloud(cloud: CloudInput, max_points: int) -> tuple[StoredCloud, Cloud
 
 
 def reading_points(cloud: CloudInput) -> int:
-    """What it takes at most to read a cloud that is refused in the end, in points of one that is not."""
+    """The most that reading a refused cloud costs, in points of an accepted one."""
     if not isinstance(cloud, EncodedCloud):
         return len(cloud.points)
     ratio = DEFAULT_LIMITS.max_ratio if cloud.coding else 1
@@ -102,8 +102,8 @@ def reading_points(cloud: CloudInput) -> int:
 class CloudDecoder:
     """Decodes clouds beside the event loop, as many at a time as there are threads; tenants take turns.
 
-    A cloud keeps a core busy, up to a fifth of a second and compressed text for longer. Whoever sends many waits for
-    the own ones, and not the others: one thread is left to them.
+    A cloud keeps a core busy, up to a fifth of a second and compressed text for longer. A tenant that sends many waits
+    for its own ones, and the others do not: one thread is left to them.
     """
 
     def __init__(self, threads: int) -> None:
@@ -112,7 +112,7 @@ class CloudDecoder:
         self._turns = Turns(threads, of_tenant=max(1, threads - 1))
 
     async def run(self, tenant: TenantId, work: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> T:
-        """What `work` returns for `tenant`, run in one of the threads with the context of the request."""
+        """Run `work` for `tenant` in one of the threads, with the context of the request."""
         in_context = partial(copy_context().run, work, *args, **kwargs)
         async with self._turns.of(tenant):
             return await asyncio.get_running_loop().run_in_executor(self._pool, in_context)

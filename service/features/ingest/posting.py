@@ -92,7 +92,7 @@ class SubmapPosting:
     async def post(self, tenant: TenantId, command: PostSubmap) -> PostedSubmap:
         """Store a submap durably and queue its description; returns after the commit.
 
-        Raises what decoding and validation raise, BadField, BadTransform, NotFound for the session, SessionFinished,
+        Raises the errors of decoding and validation, BadField, BadTransform, NotFound for the session, SessionFinished,
         AlreadyExists for other content under the same id, WorkersBusy, RateLimited, QuotaReached, Draining,
         StorageFull, StorageUncertain.
         """

@@ -1,4 +1,4 @@
-"""What a submap is made of: one posted cloud, or the scans of a window; and putting it together."""
+"""Sources of a submap: one posted cloud, or the scans of a window; and their assembly."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def submap_source(uow: UnitOfWork, policy: Policy, record: SubmapRecord) -> Subm
 def chosen_seqs(first: int, last: int) -> list[int]:
     """The numbers first..last of a window's scans; of more than MAX_SCANS so many, evenly spread, with both ends.
 
-    Stored scans have no gaps, so what is not chosen need not be read.
+    Stored scans have no gaps, so only the chosen ones are read.
     """
     if last - first < MAX_SCANS:
         return list(range(first, last + 1))

@@ -1,4 +1,4 @@
-"""The submap of a range of a session's scans: of a complete window, or of what is left when the session ends."""
+"""The submap of a range of a session's scans: of a complete window, or of the remainder when the session ends."""
 
 from __future__ import annotations
 

@@ -35,14 +35,14 @@ STREAM_RECHECK_S = 1.0
 """How often the credential of an open stream is verified again."""
 
 STREAM_ENDS_WITHIN_S = 3.0
-"""What operators are told: an open stream ends so soon after its credential has lost its right. More than one look."""
+"""The documented bound: an open stream ends so soon after its credential has lost its right. More than one look."""
 
 _log = structlog.get_logger(__name__)
 
 
 @dataclass(frozen=True)
 class Credential:
-    """What a client shows: a bearer token; the names in its verified certificate; and the address it calls from."""
+    """A client's credentials: a bearer token; the names in its verified certificate; and the address it calls from."""
 
     bearer: str | None = None
     certificate_names: tuple[str, ...] = ()
@@ -51,7 +51,7 @@ class Credential:
 
 @dataclass(frozen=True)
 class CertificateGrant:
-    """What a name in a client certificate stands for."""
+    """Tenant and scopes of a name in a client certificate."""
 
     tenant: TenantId
     scopes: frozenset[Scope]
@@ -74,7 +74,7 @@ class Access:
     """Authenticates and authorises callers, and notes refusals in the audit log."""
 
     def __init__(self, storage: Storage, audit_log: AuditLog, clock: Clock, rules: AccessRules, pace: CallPace) -> None:
-        """Keys are looked up in `storage`; `pace` holds back whoever begins too many calls."""
+        """Keys are looked up in `storage`; `pace` holds back clients that begin too many calls."""
         self._audit = audit_log
         self._clock = clock
         self._rules = rules
@@ -115,12 +115,12 @@ class Access:
     async def admit(
         self, credential: Credential, scopes: frozenset[Scope], call: str, path: str | None = None
     ) -> Caller:
-        """The caller, who has one of `scopes`; for the audit log, `call` is the route or RPC that is asked for.
+        """The caller, with one of `scopes`; for the audit log, `call` is the route or RPC.
 
-        `path` is what the client wrote to get there. It is noted of callers that are known: strangers write all kinds
-        of things, their key for example.
+        `path` is the client's own text. It is noted of known callers: others may have written anything, their key for
+        example.
 
-        Raises Unauthenticated, PermissionDenied, TooManyFailures; for administration, what storing the row raises.
+        Raises Unauthenticated, PermissionDenied, TooManyFailures; for administration, the errors of storing the row.
         """
         caller: Caller | None = None
         try:
@@ -134,7 +134,7 @@ class Access:
         return caller
 
     async def identify(self, credential: Credential) -> Caller:
-        """Whose credential this is. Raises Unauthenticated."""
+        """The caller of a credential. Raises Unauthenticated."""
         if credential.bearer is not None:
             return await self._of_bearer(credential.bearer)
         for name in credential.certificate_names:
@@ -184,5 +184,5 @@ class Access:
 
 
 def _subject(asked: str) -> str:
-    """What was asked for, as the audit log keeps it."""
+    """The request's path in the audit log."""
     return audit.printable(redacted(asked))

@@ -39,14 +39,14 @@ _NO_SECRET = hashlib.sha256(secrets.token_bytes(SECRET_BYTES)).hexdigest()
 
 @dataclass(frozen=True)
 class ShownKey:
-    """What a client sent, taken apart."""
+    """The parts of a client's key."""
 
     key_id: str
     secret: str
 
     @property
     def secret_sha256(self) -> str:
-        """What is stored of the secret."""
+        """The stored hash of the secret."""
         return hashlib.sha256(self.secret.encode()).hexdigest()
 
 
@@ -75,7 +75,7 @@ def parse_key(text: str) -> ShownKey | None:
 
 
 def caller_of_key(record: KeyRecord | None, shown: ShownKey, now_ns: int) -> Caller:
-    """Whose key this is. Raises Unauthenticated where the secret is wrong, RevokedKey where it no longer counts."""
+    """The owner of a key. Raises Unauthenticated for a wrong secret, RevokedKey for one that no longer counts."""
     stored = _NO_SECRET if record is None else record.secret_sha256
     if not hmac.compare_digest(stored, shown.secret_sha256) or record is None:
         raise Unauthenticated

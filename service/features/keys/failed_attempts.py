@@ -13,7 +13,7 @@ ADDRESSES = 4096
 class FailedAttempts:
     """A budget per address (20, then one in 5 s) and for all together (200, then one a second).
 
-    A valid credential is never refused for it: whoever shares an address with an attacker stays in.
+    A valid credential is never refused for it: a client that shares an address with an attacker stays in.
     """
 
     def __init__(self) -> None:

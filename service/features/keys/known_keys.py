@@ -1,4 +1,4 @@
-"""What the store says of API keys, read again only once something was committed (docs/decisions/0221)."""
+"""A cache of API keys, read again only after a commit (docs/decisions/0221)."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ MOST_KNOWN = 1000
 """Answers that are kept; of keys that do not exist, none is."""
 
 _EMPTY = ""
-"""No key has this id: what is kept under it is whether there is any key."""
+"""No key has this id: the entry under it says whether there is any key."""
 
 
 class KnownKeys:
@@ -35,7 +35,7 @@ class KnownKeys:
         return cast("KeyRecord | None", await self._read(key_id, lambda keys: keys.get(key_id)))
 
     async def _read(self, asked: str, ask: Callable[[KeyRing], T]) -> object:
-        """What is known of `asked`, or what the store says: never less than what was committed before this call."""
+        """The cached answer to `asked`, or the store's: never older than the last commit before this call."""
         version = self._storage.transactions.version()
         if version is None or version != self._version or len(self._known) >= MOST_KNOWN:
             self._version = version

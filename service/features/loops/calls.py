@@ -87,7 +87,7 @@ class Loops:
         graph_state: GraphState | None = None,
         reason: str | None = None,
     ) -> Page[LoopClosureView]:
-        """The closures of a map, oldest first; `session_id` keeps those whose query submap is of that session.
+        """The closures of a map, oldest first; `session_id` keeps those with a query submap of that session.
 
         `reason` keeps those that were rejected for it.
 

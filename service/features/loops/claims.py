@@ -102,7 +102,7 @@ def _says(loop: LoopRecord) -> bool:
 
 
 def claim_of_row(loop: LoopRecord, query: SubmapRecord, match: SubmapRecord) -> LoopClaim:
-    """A stored loop with a pose as a claim. What a person has accepted is not doubted any more."""
+    """A stored loop with a pose as a claim. A loop that a person accepted is not doubted any more."""
     support = _support_from(loop.evidence.get("support"))
     doubts = {Doubt(name): _grounds_from(told) for name, told in loop.evidence.get("doubts", {}).items()}
     accepted = loop.state == LoopState.ACCEPTED
@@ -122,7 +122,7 @@ def loop_state(claim: LoopClaim) -> LoopState:
 
 
 def evidence_of(claim: LoopClaim, rules: VerificationConfig) -> Evidence:
-    """The evidence of a claim whose pair was verified by `rules`."""
+    """The evidence of a claim that was verified by `rules`."""
     return {**verdict_evidence(claim.verdict, rules), **_judgement(claim)}
 
 
@@ -189,7 +189,7 @@ def _grounds_from(told: Evidence) -> Grounds:
 
 
 def _measurement_from(loop: LoopRecord) -> LoopMeasurement:
-    """The measurement of a stored loop that has a pose. What a person said has that alone."""
+    """The measurement of a stored loop that has a pose. A person's loop has the pose alone."""
     told = loop.evidence.get("measurement", {})
     return LoopMeasurement(
         similarity=loop.similarity,

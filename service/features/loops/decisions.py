@@ -80,7 +80,7 @@ class LoopEventView:
 
 
 class LoopDecisions:
-    """What people decide about loop closures."""
+    """People's decisions about loop closures."""
 
     def __init__(
         self, storage: Storage, admission: Admission, lists: Lists, jobs: JobPosting, clock: Clock, policy: Policy
@@ -94,7 +94,7 @@ class LoopDecisions:
         self._policy = policy
 
     async def accept(self, tenant: TenantId, map_id: str, loop_id: str, note: str = "") -> LoopClosureView:
-        """Accept a loop whatever its verdict was. Raises NotFound; BadField where it has no alignment; Draining."""
+        """Accept a loop of any verdict. Raises NotFound; BadField where it has no alignment; Draining."""
         return await self._decide(tenant, map_id, loop_id, LoopEventKind.ACCEPTED, note)
 
     async def reject(self, tenant: TenantId, map_id: str, loop_id: str, note: str = "") -> LoopClosureView:
@@ -120,7 +120,7 @@ class LoopDecisions:
         return await self._storage.write(partial(self._propose, tenant=tenant, command=command, T=T, actor=actor))
 
     async def events(self, tenant: TenantId, map_id: str, loop_id: str, page: PageRequest) -> Page[LoopEventView]:
-        """What happened to a loop, oldest first. Raises NotFound."""
+        """The changes of a loop, oldest first. Raises NotFound."""
         find = partial(_events, tenant=tenant, map_id=map_id, loop_id=loop_id)
         return await self._lists.page(tenant, page, find, lambda _, record: _view(record))
 

@@ -1,4 +1,4 @@
-"""What the method compared: the keypoints of a loop closure's two submaps, and which of them belong together."""
+"""The keypoints of a loop closure's two submaps, and the pairs among them."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from revisit.service.ports.storage import Storage, require_submap
 from revisit.service.ports.transactions import UnitOfWork
 
 COMPARISON_POINTS = 500_000
-"""What the keypoints of a loop cost: five times the 10 ms that comparing them takes (docs/decisions/0172)."""
+"""Cost of the keypoints of a loop: five times the 10 ms of their comparison (docs/decisions/0172)."""
 
 
 @dataclass(frozen=True)

@@ -11,12 +11,12 @@ from revisit.service.domain.states import LoopEventKind, LoopState
 from revisit.service.ports.transactions import UnitOfWork
 
 SERVICE = "service"
-"""Who is named for what no person did."""
+"""The actor of changes that no person made."""
 
 
 @dataclass(frozen=True)
 class Change:
-    """What happens to a loop, by whom, and why; `details` is JSON."""
+    """A change of a loop: kind, actor, note; `details` is JSON."""
 
     kind: LoopEventKind
     at_ns: int
@@ -28,7 +28,7 @@ class Change:
 
 @dataclass(frozen=True)
 class LoopStanding:
-    """What may change of a loop: verdict, its reason, the alignment, and the verdict of the pose graph."""
+    """The fields of a loop that may change: verdict, its reason, the alignment, and the verdict of the pose graph."""
 
     state: LoopState
     reason: str | None

@@ -1,4 +1,4 @@
-"""Merges: make a map, or a session of it, a part of another map; look at what was merged; take it back."""
+"""Merges: make a map, or a session of it, a part of another map; list merges; take one back."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ DEFAULT_RADIUS_M = 30.0
 
 @dataclass(frozen=True)
 class MergeMap:
-    """Merge `source_map_id`, or one session of it, into `map_id`; with `validate_only` only say what would happen.
+    """Merge `source_map_id`, or one session of it, into `map_id`; with `validate_only` only a report.
 
     `T_map_source` (4, 4) is roughly where the frame of the source lies in that of the map, within `radius_m` metres.
     """
@@ -115,7 +115,7 @@ class MapMerges:
     async def revert(self, tenant: TenantId, map_id: str, merge_id: str) -> MapMergeRecord:
         """Take a merge back: its copies are deleted, the poses from before it come back, bit for bit.
 
-        What came into the map since stays. Raises NotFound; NotReady where a later merge holds; Draining.
+        Later additions to the map stay. Raises NotFound; NotReady where a later merge holds; Draining.
         """
         self._admission.require_running()
         entry = audit.noted(tenant, "merge_reverted", f"maps/{map_id}/merges/{merge_id}")

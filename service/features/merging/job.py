@@ -1,4 +1,4 @@
-"""Merging a map, or a session of it, into another map: what a worker does with the job."""
+"""Merging a map, or a session of it, into another map, by a worker."""
 
 from __future__ import annotations
 
@@ -140,7 +140,7 @@ class MapMerging:
     def _verified(
         self, query: SubmapRecord, match: SubmapRecord, cosine: float, config: PipelineConfig, expected: Matrix4 | None
     ) -> PairVerdict:
-        """What geometry says of two places; of several alignments that fit, the initial pose says which is meant."""
+        """The verdict of geometry on two places; the initial pose chooses among several alignments that fit."""
         try:
             places = [self._context.blobs.get(one.tenant, PLACE_BLOB, str(one.place_sha256)) for one in (query, match)]
             verdict = self._recogniser.verify(places[0], places[1], cosine, config)

@@ -41,7 +41,7 @@ def require_comparable(target: MapRecord, source: MapRecord) -> None:
 
 @dataclass(frozen=True)
 class MergeOrder:
-    """What was asked for: the payload of a job. `near` is T_map_source, roughly; loops farther from it do not count."""
+    """The request: the payload of a job. `near` is T_map_source, roughly; loops farther from it do not count."""
 
     map_id: str
     source_map_id: str
@@ -67,7 +67,7 @@ class MergeOrder:
 
     @property
     def source(self) -> str:
-        """The resource name of what is merged."""
+        """The resource name of the source."""
         whole = f"maps/{self.source_map_id}"
         return whole if self.source_session_id is None else f"{whole}/sessions/{self.source_session_id}"
 
@@ -96,7 +96,7 @@ class MapSide:
 
 @dataclass(frozen=True)
 class MergeTask:
-    """The map that grows, and what joins it."""
+    """The map that grows, and the source that joins it."""
 
     target: MapSide
     source: MapSide
@@ -125,7 +125,7 @@ def read_merge(uow: UnitOfWork, policy: Policy, tenant: TenantId, order: MergeOr
 def _side(
     uow: UnitOfWork, policy: Policy, tenant: TenantId, map_id: str, session_id: str | None, *, copied: bool
 ) -> MapSide | None:
-    """One of both maps. Of what is to be `copied`, only what is described counts."""
+    """One of both maps. Of submaps to be `copied` only described ones count."""
     task = read_task(uow, policy, tenant, map_id)
     if task is None:
         return None

@@ -35,7 +35,7 @@ NOTHING_TO_MERGE = {"outcome": "one of the maps is gone, or holds no described s
 
 @dataclass(frozen=True)
 class _Copies:
-    """What the copies in the map are called: numbers of sessions, submaps and loops by those of the originals."""
+    """Numbers of the copies in the map: numbers of sessions, submaps and loops by those of the originals."""
 
     sessions: dict[int, SessionRecord] = field(default_factory=dict)
     submaps: dict[int, int] = field(default_factory=dict)
@@ -81,7 +81,7 @@ class MergeCommit:
         return target if target.map_version == as_read.map_version and self._has_all(uow) else None
 
     def _has_all(self, uow: UnitOfWork) -> bool:
-        """Whether nothing was deleted that the copies will name: a submap whose row is there has its blobs."""
+        """Whether all that the copies will name is there: a submap with a row has its blobs."""
         source = self.proposal.task.source
         present = uow.submaps.distinct(source.task.map.tenant, "number", map_id=source.task.map.map_id)
         return all(one.number in present for one in source.submaps)

@@ -1,4 +1,4 @@
-"""What a merge would do, and what speaks for it: the alignment, its evidence, the verdict, and the report of them."""
+"""The proposal of a merge: alignment, evidence, verdict, and their report."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from revisit.service.ports.map_optimiser import OptimisedTrack, TrackLoop
 
 @dataclass(frozen=True)
 class CrossingLoop:
-    """A candidate between the two maps, and what geometry says of it: the query is of the map that joins."""
+    """A candidate between the two maps, and its verdict: the query is of the map that joins."""
 
     query: SubmapRecord
     match: SubmapRecord
@@ -46,7 +46,7 @@ class CrossingLoop:
 
 @dataclass(frozen=True)
 class MergeProposal:
-    """What was found: candidates with verdicts, the loops of `graph` among them by number, poses and surfaces."""
+    """The findings: candidates with verdicts, the loops of `graph` among them by number, poses and surfaces."""
 
     order: MergeOrder
     task: MergeTask
@@ -62,7 +62,7 @@ class MergeProposal:
         return MergeVerdict.REFUSED if self.judgement.refusal else MergeVerdict.MERGEABLE
 
     def report(self) -> dict[str, Any]:
-        """As JSON: verdict, alignment, evidence, what changes."""
+        """As JSON: verdict, alignment, evidence, changes."""
         return {
             "verdict": self.verdict.value,
             "refusal": self.judgement.refusal,
@@ -159,8 +159,8 @@ def placed_maps(side: MapSide, tracks: Iterable[OptimisedTrack], anchors: set[in
 def chosen(crossing: Sequence[CrossingLoop]) -> tuple[list[CrossingLoop], list[CrossingLoop]]:
     """The accepted loops that are the best of both of their submaps, and the other accepted ones.
 
-    Neighbours of a place see it, too, from farther away: what they measure is worse than its covariance says, and adds
-    nothing to what the place itself says.
+    Neighbours of a place see it, too, from farther away: their measurements are worse than their covariance says, and
+    add nothing to that of the place itself.
     """
     accepted = [one for one in crossing if one.measurement is not None]
     best = dict[int, tuple[float, float]]()

@@ -33,9 +33,9 @@ class DeadLetters:
         self._policy = policy
 
     async def retry(self, tenant: TenantId, operation_id: str) -> OperationView:
-        """Queue failed work again, with as many attempts as new work; what has not failed is left alone.
+        """Queue failed work again, with as many attempts as new work; other work is left alone.
 
-        Raises NotFound, also where its submap was deleted; BadField for a search, whose cloud is not kept;
+        Raises NotFound, also where its submap was deleted; BadField for a search: its cloud is not kept;
         WorkersBusy, Draining.
         """
         self._admission.require_running()

@@ -32,7 +32,7 @@ class JobRunner:
         self._jobs = jobs
 
     def run(self, lease: Lease) -> None:
-        """Run a job and commit its end, good or bad. Raises only what storage raises while the end is committed."""
+        """Run a job and commit its end, good or bad. Raises only storage errors of that commit."""
         try:
             failpoint("job.after_claim")
             self._jobs[OperationKind(lease.job.kind)](lease)
@@ -45,7 +45,7 @@ class JobRunner:
             self._fail(lease, error.code, error.message, retry=of_storage, innocent=of_storage)
         except MemoryError:
             self.fail(lease, "the job needs more memory than a worker may take")
-        except Exception as error:  # whatever the method raises must not end the worker
+        except Exception as error:  # no error of the method may end the worker
             log.exception("job_crashed", operation=lease.job.operation_id)
             self.fail(lease, f"{type(error).__name__}: {error}"[:500])
 

@@ -1,4 +1,4 @@
-"""How far a run has come, told to whoever asks for its operation; and how a run learns that it is to end."""
+"""Progress of a run, shown by its operation; and its cancellation."""
 
 from __future__ import annotations
 

@@ -40,7 +40,7 @@ class WorkerAnswers:
         timeout_s: float,
         discard: Callable[[Result], None] = lambda _result: None,
     ) -> Result:
-        """The result of a job. Raises what the worker met, NoAnswer, WorkersBusy.
+        """The result of a job. Raises the worker's error, NoAnswer, WorkersBusy.
 
         A job that nobody waits for any more is dropped. One that has ended by then stays, and `discard`, which may
         block, is given its result, as nobody else is.

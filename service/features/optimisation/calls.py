@@ -149,7 +149,7 @@ def restore_version(
 
 
 def _without_poses(current: MapRecord, now_ns: int) -> MapVersionRecord:
-    """What a map rests on before its first version."""
+    """The summary of a map before its first version."""
     nothing: dict[str, Any] = dict.fromkeys(
         ("sessions", "submaps", "frames", "loops_in_map", "loops_set_aside", "loops_unconnected", "degrees_of_freedom"),
         0,

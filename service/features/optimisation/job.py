@@ -1,4 +1,4 @@
-"""Optimising a map: what a worker does with the job, and how it comes into the queue."""
+"""Optimising a map: the worker's part, and the way into the queue."""
 
 from __future__ import annotations
 

@@ -40,7 +40,7 @@ from revisit.service.ports.transactions import UnitOfWork
 
 MAP_DELETED = {"outcome": "the map was deleted"}
 MAP_REVERTED = {"outcome": "an earlier version was brought back meanwhile"}
-"""Results of a job whose map is gone, or is not to be moved from where a person has put it."""
+"""Results of a job for a map that is gone, or that a person has fixed."""
 
 
 @dataclass(frozen=True)
@@ -141,7 +141,7 @@ def _poses(
 def judge_loops(
     uow: UnitOfWork, loops: Iterable[LoopRecord], judged: Iterable[JudgedLoop], version: int, now_ns: int
 ) -> None:
-    """Store what a version says of each of some loops; a loop of which it says nothing has no verdict of the graph."""
+    """Store a version's verdicts on loops; a loop that it leaves out has no verdict of the graph."""
     verdicts = {verdict.number: verdict for verdict in judged}
     changes: dict[str | None, list[tuple[LoopRecord, Change]]] = {}
     for loop in loops:
@@ -177,7 +177,7 @@ def forget_versions(uow: UnitOfWork, tenant: TenantId, map_id: str, last: int) -
 
 
 def summary_of(task: MapTask, tracks: Sequence[OptimisedTrack], optimised: OptimisedMap) -> dict[str, Any]:
-    """What a version rests on, and how far it moved the submaps: the fields of a MapVersionSummary, and FAULTS where
+    """The evidence of a version, and how far it moved the submaps: the fields of a MapVersionSummary, and FAULTS where
     there are any.
 
     `tracks` are those of the task's tracks, in their order.

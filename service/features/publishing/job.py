@@ -1,4 +1,4 @@
-"""Publishing a version of a map as a file: what a worker does with the job."""
+"""Publishing a version of a map as a file, by a worker."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ _READINGS = 3
 
 @dataclass(frozen=True)
 class FilingPlan:
-    """What a file holds: description, and the described submaps with descriptors (their bytes), in their order."""
+    """The content of a file: description, and the described submaps with descriptors (their bytes), in their order."""
 
     description: MapDescription
     sessions: tuple[str, ...]
@@ -46,7 +46,7 @@ class FilingPlan:
     descriptors: tuple[bytes, ...]
 
     def is_of(self, other: FilingPlan) -> bool:
-        """Whether both are of the same content: poses come from a version, whose hash covers them."""
+        """Whether both are of the same content: poses come from a version, and its hash covers them."""
         named = [[(one.name, one.neural) for one in plan.submaps] for plan in (self, other)]
         return named[0] == named[1] and self.description == other.description
 
@@ -59,7 +59,7 @@ class MapFiling:
         self._context = context
 
     def run(self, lease: Lease) -> None:
-        """Find out what the bytes of the file are, and store that. Raises NotFound, NotReady, DataLoss."""
+        """Compute and store the layout of the file's bytes. Raises NotFound, NotReady, DataLoss."""
         payload, tenant = lease.job.payload, lease.job.tenant
         for _ in range(_READINGS):
             plan = self._context.transactions.read(partial(self._plan, tenant=tenant, payload=payload)).result()
@@ -123,7 +123,7 @@ class MapFiling:
 
 
 def read_filing(uow: UnitOfWork, policy: Policy, tenant: TenantId, map_id: str, version: int) -> FilingPlan:
-    """What the file of a version holds. Raises NotFound; NotReady without described submaps; DataLoss."""
+    """The content of a version's file. Raises NotFound; NotReady without described submaps; DataLoss."""
     record, seen = require_map(uow, tenant, map_id), version_seen(uow, tenant, map_id, version)
     rows = sorted(uow.session_poses.find(tenant, map_id=map_id, version=version), key=lambda row: row.session_number)
     filed: list[FiledSubmap] = []
@@ -168,7 +168,7 @@ def _filed(submap: SubmapRecord, frame: str, T_map_submap: Matrix4) -> FiledSubm
 
 
 def _as_sent(T: Matrix4) -> Matrix4:
-    """A pose as a client gets it, with a quaternion for its rotation: the same bytes, whoever writes the file."""
+    """A pose as a client gets it, with a quaternion for its rotation: every writer makes the same bytes."""
     return se3.from_quaternion(se3.to_quaternion(np.asarray(T)).tolist(), T[:3, 3].tolist())
 
 

@@ -31,7 +31,7 @@ class _Part:
 
 
 class MapLayout:
-    """What the bytes of a map file are."""
+    """The layout of a map file's bytes."""
 
     def __init__(self, parts: list[_Part]) -> None:
         """The parts in their order."""
@@ -58,7 +58,7 @@ class MapLayout:
             yield bytes(waiting)
 
     def _wanted(self, read: Callable[[str], bytes], start: int, end: int | None) -> Iterator[bytes]:
-        """What each part has of a range."""
+        """Each part's share of a range."""
         last = self.size if end is None else min(end, self.size)
         for number in range(bisect_right(self._starts, start) - 1, len(self._parts)):
             first = self._starts[number]
@@ -99,7 +99,7 @@ class MapLayout:
 
 @dataclass
 class LayoutRecorder(io.RawIOBase):
-    """A stream that notes what is written instead of storing it; what is one of the `known` neural maps by its hash.
+    """A stream that notes its bytes instead of storing them, and the `known` neural maps by their hashes.
 
     Written parts can be written over, as archives do with the heads of their members, unless they are neural maps.
     """
@@ -138,7 +138,7 @@ class LayoutRecorder(io.RawIOBase):
         return True
 
     def layout(self) -> MapLayout:
-        """What was written."""
+        """The noted layout."""
         parts: list[Any] = self._parts
         return MapLayout([one if isinstance(one, _Part) else _Part(len(one), bytes(one)) for one in parts])
 

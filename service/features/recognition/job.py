@@ -82,7 +82,7 @@ class SubmapDescriptionJob:
         return load_submap(self._context.blobs, task.submap, task.source).levelled(in_place=True)
 
     def _noticed(self, task: DescriptionTask) -> tuple[str, ...]:
-        """What is noticed about the scans of a submap. They are read once more after that: few are looked at."""
+        """Likely mistakes in the scans of a submap. They are read once more after that: few are looked at."""
         if not _is_inspected(task.submap):
             return ()
         return self._recogniser.inspect(list(each_scan(self._context.blobs, task.submap, task.source)))
@@ -120,7 +120,7 @@ class SubmapDescriptionJob:
     def _close_loops(
         self, lease: Lease, task: DescriptionTask, described: StoredDescription, config: PipelineConfig
     ) -> None:
-        """Search, verify and commit; again where the map has grown meanwhile, verifying only what is new.
+        """Search, verify and commit; again where the map has grown meanwhile, verifying only new candidates.
 
         Every repetition means that another worker has committed, so together the workers always get on.
         """
@@ -148,10 +148,10 @@ class SubmapDescriptionJob:
         config: PipelineConfig,
         judged: dict[int, PairVerdict],
     ) -> tuple[list[JudgedPlace], list[RevisedLoop]]:
-        """The recalled places with their claims; and the earlier loops of the drive whose claims change with them.
+        """The recalled places with their claims; and the earlier loops of the drive with claims that change.
 
-        `judged`: verdicts by number of submap; those that are there stand, new ones are added. Places whose pose enough
-        accepted pairs predict are left out (docs/decisions/0161).
+        `judged`: verdicts by number of submap; those that are there stand, new ones are added. A place with a pose that
+        enough accepted pairs predict is left out (docs/decisions/0161).
         """
         recalled = [one.submap for one in recall.places]
         predicted = PredictedPoses(

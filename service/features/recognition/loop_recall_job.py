@@ -36,23 +36,24 @@ from revisit.service.ports.recogniser import PlaceRecogniser
 from revisit.service.ports.transactions import Transactions, UnitOfWork
 
 RECALL = "recall"
-"""The member of a loop's evidence that says from which version of the map it was tested again, and with what result."""
+"""The member of a loop's evidence for its second test: version of the map, and result."""
 
 RECALLED_REASONS = frozenset({"NO_COMMON_REGION", "DEGENERATE_ALIGNMENT", "IMPLAUSIBLE_TILT", "LOW_OVERLAP",
                               "SEEN_THROUGH", "LOW_SCORE"})  # fmt: skip
 """Reasons that a wrong start of registration can have. Not AMBIGUOUS, which other loops decide (docs/decisions/0161),
-nor what is so from any start."""
+nor reasons that hold from any start."""
 
 MOST_RECALLED = 50
 """Loops, at most, that one version of a map gives another chance."""
 
 MOST_MOVED_M = 3.0
-"""In a scene of scale 1: a pose farther from what the map says is not what was looked for. Also the most that a map may
-not know of how two submaps lie, as one standard deviation."""
+"""In a scene of scale 1: a pose farther from the map's is another place. Also the largest standard deviation of the
+relative pose in the map.
+"""
 
 SAME_M = 0.5
 SAME_RAD = np.radians(2.0)
-"""A pair whose relative pose has moved by less since it was tested is not tested again."""
+"""A pair is tested again once its relative pose has moved by so much."""
 
 _PAGE = 500
 
@@ -208,12 +209,12 @@ def _undecided(uow: UnitOfWork, tenant: TenantId, best: list[_Found]) -> list[Re
 
 
 def _as_read(loop: LoopRecord) -> tuple[int, LoopStanding, Any]:
-    """What must not have changed meanwhile: which loop it is, its standing, and what an earlier test has told."""
+    """Fields that must not have changed meanwhile: the loop, its standing, the result of an earlier test."""
     return loop.number, LoopStanding.of(loop), loop.evidence.get(RECALL)
 
 
 def kept_near(loop: RecalledLoop, verdict: PairVerdict) -> RecalledLoop:
-    """A loop with its verdict; what was accepted far from where the map has it is rejected all the same."""
+    """A loop with its verdict; one that is accepted far from the map's pose is rejected all the same."""
     if isinstance(verdict, VerifiedLoop):
         _, moved_m = _apart(loop.T_match_query, verdict.measurement.T_match_query)
         if moved_m > MOST_MOVED_M * loop.map.scene_scale:
@@ -232,7 +233,7 @@ class RecallCommit:
     now_ns: int
 
     def __call__(self, uow: UnitOfWork) -> int:
-        """Store what came of each loop that is still as it was read; how many were accepted.
+        """Store the result of each loop that is still as it was read; the number of accepted ones.
 
         Raises StaleLease where another worker holds the job.
         """

@@ -109,7 +109,7 @@ class ProposedLoopJob:
 
 
 def _proposed_pair(uow: UnitOfWork, job: JobRecord) -> ProposedPair | None:
-    """What is to be verified; None where it is gone, or no longer a proposal."""
+    """The pair to verify; None where it is gone, or no longer a proposal."""
     loop = _proposed(uow, job)
     if loop is None:
         return None

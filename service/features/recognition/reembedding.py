@@ -1,8 +1,8 @@
 """Maps of an older model get the descriptors of today's, from their stored neural maps, or from scans without one.
 
-What is made of each submap is kept as a draft, so that an interrupted run goes on where it ended. The map changes in
-one transaction: before it, everything is as the old model left it, and after it as the new one. Loop closures stay as
-they were judged; each names its model.
+The new description of each submap is kept as a draft, so that an interrupted run goes on where it ended. The map
+changes in one transaction: before it, everything is as the old model left it, and after it as the new one. Loop
+closures stay as they were judged; each names its model.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ class Drafts(Protocol):
     """Bytes under a name that outlast this process, until they are no longer needed."""
 
     def read(self, name: str) -> bytes | None:
-        """What was written under `name`, if anything."""
+        """The draft `name`, if there is one."""
         ...
 
     def write(self, name: str, data: bytes) -> None:
@@ -49,7 +49,7 @@ class Drafts(Protocol):
 
 @dataclass(frozen=True)
 class Reembedded:
-    """What was done to a map: how many submaps, how many of them from their scans, and why others have failed."""
+    """The result for a map: number of submaps, of those described from their scans, and reasons of failures."""
 
     map: MapRecord
     model_version: str
@@ -60,7 +60,7 @@ class Reembedded:
 
 @dataclass(frozen=True)
 class _Renewed:
-    """What became of one submap: a description, or the error that it has failed with."""
+    """The result for one submap: a description, or the error."""
 
     submap: SubmapRecord
     description: Redescription | None
@@ -82,11 +82,11 @@ class Reembedding:
         self._drafts = drafts
 
     def stale_maps(self) -> list[MapRecord]:
-        """The maps of all tenants whose descriptors are of another model."""
+        """The maps of all tenants with descriptors of another model."""
         return [one for one in self._described_maps() if one.model_version != self._model(one)]
 
     def named_maps(self, map_ids: Sequence[str]) -> list[MapRecord]:
-        """The described maps of all tenants with these ids, whatever their model."""
+        """The described maps of all tenants with these ids, of any model."""
         return [one for one in self._described_maps() if one.map_id in map_ids]
 
     def _described_maps(self) -> list[MapRecord]:
@@ -97,7 +97,7 @@ class Reembedding:
         """Describe every described submap of the map again and commit; `told` hears how many of how many are done.
 
         A submap without a readable neural map is described from its scans; one that cannot be described has FAILED,
-        with the reason. Raises what storage raises.
+        with the reason. Raises storage errors.
         """
         renewed: list[_Renewed] = []
         while True:
@@ -148,7 +148,7 @@ class Reembedding:
             )  # fmt: skip
 
     def _place_before(self, submap: SubmapRecord) -> bytes | None:
-        """The place that the older model left, which knows what only the scans tell; None where it is gone."""
+        """The place of the older model, with values that need the scans; None where it is gone."""
         try:
             return self._blobs.get(submap.tenant, PLACE_BLOB, str(submap.place_sha256))
         except DataLoss:
@@ -165,7 +165,7 @@ class Reembedding:
             if one.description is None:
                 uow.changes.record_removed(row.tenant, record.number, [row.number])
             else:
-                # What nobody named yet may have been swept away meanwhile.
+                # Blobs without a row may have been swept away meanwhile.
                 if not self._blobs.exists(row.tenant, PLACE_BLOB, str(row.place_sha256)):
                     self._blobs.put(row.tenant, PLACE_BLOB, one.description.place)
                 if one.description.neural_map is not None:
@@ -208,7 +208,7 @@ def _draft(described: Redescription) -> bytes:
 
 
 def _read_draft(data: bytes | None) -> Redescription | None:
-    """What was kept; None where there is nothing or it was damaged."""
+    """The stored draft; None where there is none or it was damaged."""
     if data is None:
         return None
     try:

@@ -62,7 +62,7 @@ class RevisedLoop:
 
 @dataclass(frozen=True)
 class StoredDescription:
-    """A description whose blobs are durable, and the row that names them."""
+    """A description with durable blobs, and the row that names them."""
 
     row: SubmapRecord
     description: SubmapDescription
@@ -159,7 +159,7 @@ class DescriptionCommit:
         return self.policy.for_map(self.task.map).verification
 
     def _verified(self, evidence: dict[str, Any]) -> Change:
-        """Tells what the verdict was given by: the model and the thresholds."""
+        """The rules of a verdict: the model and the thresholds."""
         details = {"model_version": self.described.row.model_version, **rules_of(evidence)}
         return Change(LoopEventKind.VERIFIED, self.now_ns, details=details)
 

@@ -22,7 +22,7 @@ T = TypeVar("T")
 N = TypeVar("N", bound="Numbered")
 
 ROW_POINTS = 3_000
-"""What a row of a list costs: five times the 60 us for which it holds the interpreter (docs/decisions/0172)."""
+"""Cost of a row of a list: five times the 60 us for which it holds the interpreter (docs/decisions/0172)."""
 
 LISTS_AT_A_TIME = 2
 """Lists that are read at the same time, one of each tenant."""
@@ -114,11 +114,11 @@ class Lists:
     ) -> Page[T]:
         """The views of a page of rows; `find` gets the number after which they begin, and how many it may find at most.
 
-        Raises BadField for a token of somebody else, RateLimited, and what `find` and `view` raise.
+        Raises BadField for a token of somebody else, RateLimited, and the errors of `find` and `view`.
         """
         after = self._tokens.number_in(tenant, page.token)
         async with self._turns.of(tenant):
-            # After its turn has come, when what came before it is charged.
+            # After its turn has come, when the calls before it are charged.
             self._in_flight.check_rate(tenant)
             read = partial(self._read, tenant=tenant, after=after, size=page.size, find=find, view=view)
             found = await self._storage.read(read)

@@ -117,7 +117,7 @@ def operation_view(record: JobRecord) -> OperationView:
 
 
 def _progress(record: JobRecord) -> OperationProgress | None:
-    """Of a job that runs; what an ended one reported last is no news."""
+    """Of a running job; the last report of an ended one is no news."""
     shown = record.progress is not None and record.state == OperationState.RUNNING
     return OperationProgress(**record.progress) if shown and record.progress is not None else None
 

@@ -157,7 +157,7 @@ class Searches:
     async def _ask(
         self, tenant: TenantId, kind: OperationKind, payload: dict[str, Any], cloud: CloudInput, timeout_s: float
     ) -> dict[str, Any]:
-        """Queue the cloud for a worker and wait for the answer. Raises what the worker met, NoAnswer.
+        """Queue the cloud for a worker and wait for the answer. Raises the worker's error, NoAnswer.
 
         A query that nobody waits for any more is dropped: its job goes with its cloud.
         """
@@ -176,19 +176,19 @@ class Searches:
 
 
 def _require_searchable(uow: UnitOfWork, tenant: TenantId, payload: dict[str, Any]) -> None:
-    """Raises NotFound, BadField: what the worker would find out only after it has described the cloud."""
+    """Raises NotFound, BadField early: the worker would raise them only after it has described the cloud."""
     require_map(uow, tenant, payload["map_id"])
     vector_filter(uow, tenant, payload["map_id"], criteria_from_json(payload["criteria"]), None)
 
 
 def _payload(map_id: str, criteria: SearchCriteria, T_level_query: Matrix4 | None) -> dict[str, Any]:
-    """What a worker needs to know of a query by cloud. Raises BadTransform."""
+    """The job of a query by cloud. Raises BadTransform."""
     level = {} if T_level_query is None else {"T_level_query": pose_row(se3.validated(T_level_query))}
     return {"map_id": map_id, "criteria": criteria_to_json(criteria), **level}
 
 
 def _asked_by(uow: UnitOfWork, tenant: TenantId, key: SubmapKey, criteria: SearchCriteria) -> Question:
-    """What a described submap asks. Raises NotFound, NotReady, DataLoss, BadField."""
+    """The query of a described submap. Raises NotFound, NotReady, DataLoss, BadField."""
     record = require_submap(uow, tenant, key)
     vector = np.frombuffer(require_descriptor(record), dtype="<f4")
     where = vector_filter(uow, tenant, key.map_id, criteria, record)
@@ -203,7 +203,7 @@ def _asked_for(
     model_version: str,
     criteria: SearchCriteria,
 ) -> Question:
-    """What a descriptor (d,) of a model asks. Raises NotFound, BadField, DescriptorModelMismatch."""
+    """The query of a descriptor (d,) of a model. Raises NotFound, BadField, DescriptorModelMismatch."""
     map_record = require_map(uow, tenant, map_id)
     where = vector_filter(uow, tenant, map_id, criteria, None)
     if map_record.model_version not in (None, model_version):

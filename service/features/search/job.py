@@ -50,7 +50,7 @@ class CloudQueryJob:
         self._comparison = Comparison(context.blobs, recogniser)
 
     def search(self, lease: Lease) -> None:
-        """The submaps most similar to a cloud. Raises NoAnswer, NotFound, and what the method raises."""
+        """The submaps most similar to a cloud. Raises NoAnswer, NotFound, and the errors of the method."""
         map_record, where = self._query(lease)
         description = self._describe_query(lease, map_record)
         criteria = criteria_from_json(lease.job.payload["criteria"])
@@ -58,7 +58,7 @@ class CloudQueryJob:
         self._context.complete(lease, search_result_to_json(result))
 
     def localise(self, lease: Lease) -> None:
-        """The pose of a cloud in a map, or its candidates. Raises NoAnswer, NotFound, and what the method raises."""
+        """The pose of a cloud in a map, or its candidates. Raises NoAnswer, NotFound, and the errors of the method."""
         map_record, where = self._query(lease)
         description = self._describe_query(lease, map_record)
         config = self._context.policy.for_map(map_record)

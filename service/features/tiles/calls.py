@@ -77,7 +77,7 @@ class MapPoints:
 
 @dataclass(frozen=True)
 class MapQuestion:
-    """What is asked of a version of a map, in one of its frames ("": the only one): points (n, 3) in metres.
+    """A query of a map's version, in one of its frames ("": the only one): points (n, 3) in metres.
 
     With `within_m` there is one point, and at most `limit` points of the surface around it are the answer.
     """
@@ -133,8 +133,8 @@ class MapTiles:
 
         It is read and rendered when `room` has room.
 
-        Raises NotFound, NoAnswer where no worker made it in time, UnsupportedEncoding, DataLoss, RateLimited, and what
-        the method raised.
+        Raises NotFound, NoAnswer where no worker made it in time, UnsupportedEncoding, DataLoss, RateLimited, and
+        errors of the method.
         """
         sha256 = await self._made(tenant, key)
         await room(RENDERING_BYTES)
@@ -142,7 +142,7 @@ class MapTiles:
         return await self._rendering.of(tenant, partial(render_tile, blob, key, kind, file_format))
 
     async def distances(self, tenant: TenantId, question: MapQuestion) -> MapDistances:
-        """Signed distances of points to the surface. Raises BadField, NotFound, NoAnswer, what the method raised."""
+        """Signed distances of points to the surface. Raises BadField, NotFound, NoAnswer, errors of the method."""
         if not 1 <= len(question.points_m) <= limits.DISTANCE_POINTS.most:
             raise BadField(f"points_m must hold {limits.DISTANCE_POINTS} points", field="points_m")
         result = await self._measured(tenant, question)
@@ -195,7 +195,7 @@ class MapTiles:
     async def _answer(
         self, tenant: TenantId, kind: OperationKind, subject: str, payload: dict[str, Any]
     ) -> dict[str, Any]:
-        """Queue a job, or join the same one, and wait for it. Raises what the worker met, NoAnswer, WorkersBusy."""
+        """Queue a job, or join the same one, and wait for it. Raises the worker's error, NoAnswer, WorkersBusy."""
         self._admission.require_storage()
         post = partial(self._posted, tenant=tenant, kind=kind, subject=subject, payload=payload)
         job = await self._storage.write(post)

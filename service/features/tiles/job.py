@@ -1,4 +1,4 @@
-"""Tiles of a map, made and measured: what a worker does with these jobs."""
+"""Tiles of a map, made and measured by a worker."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ MOST_STORED = 4096
 """Tiles of a map that are kept: 10 km of streets in two versions. The first that were made go first."""
 
 _READINGS = 3
-"""How often a tile is made again whose submaps have changed meanwhile."""
+"""Attempts at a tile when its submaps change meanwhile."""
 
 
 class TileMaking:
@@ -38,7 +38,7 @@ class TileMaking:
         self._maker = maker
 
     def make(self, lease: Lease) -> None:
-        """Make and store a tile. Raises NotFound for one that is gone, and what the method raises."""
+        """Make and store a tile. Raises NotFound for one that is gone, and the errors of the method."""
         payload, tenant = lease.job.payload, lease.job.tenant
         key = TileKey.of(payload["map_id"], payload["version"], payload["tile"])
         self._tile(tenant, key)
@@ -123,7 +123,7 @@ class TileMaking:
         return sha256 if self._context.transactions.write(commit).result() else None
 
     def _stored(self, uow: UnitOfWork, tenant: TenantId, plan: TilePlan, sha256: str, keep: Callable[[], str]) -> bool:
-        """Store the row of a tile whose submaps are what they were."""
+        """Store the row of a tile if its submaps are unchanged."""
         key = plan.key
         try:
             if read_plan(uow, self._context.policy, tenant, key) != plan:

@@ -1,4 +1,4 @@
-"""Which tiles a version of a map has, and what each of them is made of."""
+"""The tiles of a version of a map, and the sources of each."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class PlacedFrame:
 
 @dataclass(frozen=True)
 class TilePlan:
-    """What a tile is made of: neural maps of submaps and where these lie in the frame; the middle of its square."""
+    """The sources of a tile: neural maps of submaps and where these lie in the frame; the middle of its square."""
 
     key: TileKey
     centre: tuple[float, float, float]
@@ -117,12 +117,12 @@ def grid_of(config: PipelineConfig) -> TileGrid:
 
 
 def reach_m(config: PipelineConfig) -> float:
-    """How far from a submap its surface may lie, metres; what lies farther is in no tile."""
+    """How far from a submap its surface may lie, metres; farther parts are in no tile."""
     return config.submap.max_range * min(1.0, config.scene_scale) + 0.5 * config.submap.tau
 
 
 def read_plan(uow: UnitOfWork, policy: Policy, tenant: TenantId, key: TileKey) -> TilePlan:
-    """What a tile is made of. Raises NotFound for a version that is gone or a tile that no submap reaches."""
+    """The sources of a tile. Raises NotFound for a version that is gone or a tile that no submap reaches."""
     tiling = read_tiling(uow, policy, tenant, key.map_id, key.version)
     rows = tiling.near(key)
     if not len(rows):

@@ -25,7 +25,7 @@ WAL_ALARM_BYTES = 64 * 2**20
 
 @dataclass(frozen=True)
 class Readiness:
-    """Whether requests can be served; `reasons` says why not, `degraded` what is refused, or wrong, nevertheless."""
+    """Whether requests can be served; `reasons` says why not, `degraded` names refusals and faults beside that."""
 
     ready: bool
     reasons: tuple[str, ...]
@@ -42,7 +42,7 @@ class WorkerView:
 
 @dataclass(frozen=True)
 class ServiceStatus:
-    """What the service is doing for a tenant. `model_version` is that of the newest worker, None before any started."""
+    """The service's work for a tenant. `model_version` is that of the newest worker, None before any started."""
 
     version: str
     model_version: str | None
@@ -70,7 +70,7 @@ class System:
     async def readiness(self) -> Readiness:
         """Ready when the database answers, the index is loaded and the service is not draining.
 
-        All who ask at the same time look at the database together: a flood of probes is one look at a time.
+        Concurrent probes share one read of the database.
         """
         if self.draining:
             return Readiness(False, ("draining",))

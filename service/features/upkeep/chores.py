@@ -1,4 +1,4 @@
-"""What the gateway does beside answering: chores, each in its own rhythm, for as long as it runs."""
+"""The gateway's chores beside answering, each in its own rhythm, for as long as it runs."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ log = structlog.get_logger(__name__)
 class Chore:
     """Work that is done at the start and again `every_s` seconds after it has ended, the second time sooner.
 
-    `at_end`: once more at the end. `close` ends what the work has begun and left to go on.
+    `at_end`: once more at the end. `close` ends tasks that the work has left running.
     """
 
     name: str

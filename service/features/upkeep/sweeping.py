@@ -18,7 +18,7 @@ from revisit.service.ports.blobs import StoredBlob
 from revisit.service.ports.storage import Storage
 
 MIN_AGE_S = 3600.0
-"""A blob is stored moments before the row that names it; what is younger may still be waiting for its row."""
+"""A blob is stored moments before the row that names it; a younger one may still wait for its row."""
 
 log = structlog.get_logger(__name__)
 

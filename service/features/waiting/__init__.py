@@ -1,1 +1,1 @@
-"""Waiting for a change of the store: one poll for all who wait."""
+"""Waiting for a change of the store: one poll for all waiters."""

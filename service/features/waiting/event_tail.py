@@ -1,4 +1,4 @@
-"""Looking whether something happened in a map: once for all who watch, however many do."""
+"""The tail of a map's events: one read for all watches."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ AGAIN_S = 1.0
 """A watch that is told of nothing looks itself after this long: a map that is deleted leaves no event."""
 
 MOST_MAPS = 10_000
-"""Maps whose newest event is remembered."""
+"""Maps with their newest event in memory."""
 
 
 class EventTail:
-    """The tail of the log of events, looked at once for all who wait for it.
+    """The tail of the log of events, read once for all waiters.
 
     A watch holds nothing but the number up to which it has read, so a client that reads slowly costs no memory.
     """

@@ -21,10 +21,10 @@ _PAUSE_S = (0.005, 0.25)
 
 @dataclass(frozen=True)
 class Freshness:
-    """What an answer must rest on: every submap of the map whose `seq` is at most `min_seq`.
+    """A read barrier: the answer includes every submap of the map up to `min_seq`.
 
-    It is waited for up to `timeout_s` (0 to 60 s). 0 asks for nothing. A submap whose description failed is not waited
-    for: its operation says why.
+    Waits at most `timeout_s` (0 to 60 s); a `min_seq` of 0 disables it. A submap that failed is not waited for: its
+    operation says why.
     """
 
     min_seq: int = 0
@@ -38,7 +38,7 @@ class Freshness:
 
 
 class ReadYourWrites:
-    """Waits until queries see what they must rest on."""
+    """Waits for read barriers."""
 
     def __init__(self, storage: Storage, admission: Admission) -> None:
         """Waiting ends when `admission` says that the service stops."""
@@ -47,7 +47,7 @@ class ReadYourWrites:
         self._looks = SharedPoll(storage, _not_described)
 
     async def reached(self, tenant: TenantId, map_id: str, wanted: Freshness) -> None:
-        """Return once whatever is read from now on holds what is `wanted`.
+        """Return once all reads from now on satisfy `wanted`.
 
         Raises SeqNotReached after the time allowed, or at once for a number beyond the tenant's own submaps, whether or
         not somebody else has it; Draining where the service stops meanwhile; RateLimited where too many wait; NotFound
@@ -67,7 +67,7 @@ class ReadYourWrites:
                 )
 
     async def _comes(self, of: tuple[TenantId, str], wanted: Freshness, wait: Wait) -> bool:
-        """Whether what is wanted comes in the time allowed, while somebody waits for it. Raises Draining."""
+        """Whether the barrier is reached in the time allowed, while somebody waits for it. Raises Draining."""
         deadline, pause = time.monotonic() + wanted.timeout_s, _PAUSE_S[0]
         while (left := deadline - time.monotonic()) > 0.0 and not wait.abandoned:
             self._admission.require_running()

@@ -1,4 +1,4 @@
-"""Looking whether what many wait for has come: one read of the store for all of them, however many wait."""
+"""Shared polling: one query serves all waiters of a key."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ I = TypeVar("I", bound=Hashable)  # noqa: E741  # an item
 
 
 class SharedPoll(Generic[K, I]):
-    """Those who wait for items of the same key look together. All calls come from the event loop."""
+    """Waiters for items of the same key share a query. All calls come from the event loop."""
 
     def __init__(self, storage: Storage, not_come: Callable[[UnitOfWork, K, frozenset[I]], Collection[I]]) -> None:
         """`not_come` says which of the items of a key are still to be waited for."""
@@ -25,7 +25,7 @@ class SharedPoll(Generic[K, I]):
         self._reading: set[asyncio.Task[None]] = set()
 
     async def has_come(self, key: K, item: I, within_s: float) -> bool:
-        """Look within so many seconds, with all who wait; whether `item` has come. Raises what looking raises."""
+        """Poll within so many seconds, with all waiters; whether `item` has come. Raises the errors of the query."""
         look = self._looks.get(key)
         if look is None:
             look = self._looks[key] = _Look()
@@ -42,14 +42,14 @@ class SharedPoll(Generic[K, I]):
         items = frozenset(look.items)
         try:
             look.outcome.set_result(await self._storage.read(lambda uow: self._not_come(uow, key, items)))
-        except Exception as error:  # noqa: BLE001  # whoever waits is told, whatever it was
+        except Exception as error:  # noqa: BLE001  # all waiters get the error
             look.outcome.set_exception(error)
             # They may all have gone away meanwhile.
             look.outcome.exception()
 
 
 class _Look(Generic[I]):
-    """A look that is to come, and what is looked for."""
+    """A coming poll, and its items."""
 
     def __init__(self) -> None:
         self.items: set[I] = set()

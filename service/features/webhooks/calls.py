@@ -1,4 +1,4 @@
-"""Webhooks: create, get, list, delete and resume them; what came of the last deliveries."""
+"""Webhooks: create, get, list, delete and resume them; list the last deliveries."""
 
 from __future__ import annotations
 

@@ -47,7 +47,7 @@ GONE = 410
 """A receiver that answers so wants nothing more."""
 
 KEPT = 100
-"""Attempts of each webhook that are kept for those who look for a fault."""
+"""Attempts of each webhook that are kept for the search for faults."""
 
 log = structlog.get_logger(__name__)
 
@@ -65,7 +65,7 @@ class Batch:
 
 @dataclass(frozen=True)
 class Deliveries:
-    """Sends what is due, each webhook one request after another."""
+    """Sends due events, each webhook one request after another."""
 
     storage: Storage
     sender: WebhookSender
@@ -192,7 +192,7 @@ def _after(webhook: WebhookRecord, attempt: DeliveryRecord, now_ns: int) -> Webh
 
 
 def _note(uow: UnitOfWork, before: WebhookRecord, after: WebhookRecord, attempt: DeliveryRecord) -> None:
-    """Keep what came of an attempt, unless the webhook was deleted or resumed meanwhile."""
+    """Keep the result of an attempt, unless the webhook was deleted or resumed meanwhile."""
     known = uow.webhooks.get(before.tenant, before.webhook_id)
     if known is None or known.number != before.number:
         return

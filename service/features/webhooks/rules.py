@@ -11,7 +11,8 @@ from revisit.service.domain import limits
 Address = ipaddress.IPv4Address | ipaddress.IPv6Address
 
 # The only part of IPv6 that is given out as addresses of the internet. Beyond it are forms that carry IPv4 addresses
-# (::/96, ::ffff:0:0:0/96, 64:ff9b::/96), the site-local fec0::/10, and what nobody has: Python calls most of it global.
+# (::/96, ::ffff:0:0:0/96, 64:ff9b::/96), the site-local fec0::/10, and unassigned space: Python calls most of it
+# global.
 _GIVEN_OUT = ipaddress.IPv6Network("2000::/3")
 
 # Within it, networks that carry IPv4 addresses (6to4, Teredo), and one for examples.

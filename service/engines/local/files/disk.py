@@ -1,4 +1,4 @@
-"""The disk: files that survive a power cut, and what happens when it is full or fails.
+"""The disk: files that survive a power cut; behaviour when the disk is full or fails.
 
 This is the only place of the service that makes files (tests/architecture holds it to that). A file is written under a
 temporary name, synced, renamed, and its directory synced, in this order.
@@ -7,8 +7,8 @@ On a full disk a database cannot even delete rows. So an empty file reserves som
 runs full and made again when there is space for it.
 
 Once a disk has failed to sync, nothing more is acknowledged and the process ends. After a failed fsync the kernel may
-mark the pages clean although they never reached the disk. A second fsync that succeeds therefore proves nothing: only
-a restart, which reads what is really there, can tell what was stored.
+mark the pages clean although they never reached the disk. A second fsync that succeeds therefore proves nothing:
+only a restart, which reads the disk itself, shows the stored data.
 """
 
 from __future__ import annotations
@@ -153,7 +153,8 @@ def write_later_synced(path: Path, data: bytes) -> None:
 def replaceable_write(path: Path, pieces: Iterable[bytes]) -> None:
     """Make `path` hold the pieces, all or nothing for other processes, but not for a power cut.
 
-    For what can be made again and proves itself. Raises OSError, and what the pieces raise; then there is no file.
+    For data that can be made again and has its own hash. Raises OSError and the errors of the pieces; then there is no
+    file.
     """
     temporary = path.with_name(f"{TEMPORARY_PREFIX}{path.name}")
     try:

@@ -1,4 +1,4 @@
-"""Files of indexes: descriptors, codes and what was learned of a map's places, mapped read-only by every process.
+"""Files of indexes: descriptors, codes and statistics of a map's places, mapped read-only by every process.
 
 A file is a copy that proves itself. The row of its map names it, with the hash of its header; the header has the hashes
 of its arrays; each descriptor is checked by its mark when it is read. So a file of another database, of an older state
@@ -74,7 +74,7 @@ class IndexFiles:
         return f"{token}-{content.header_sha256}"
 
     def open(self, name: str, *, whole: bool = False) -> OpenedIndex | None:
-        """The index that `write` named so; None where it is not there, or is not what was written.
+        """The index that `write` named so; None if it is missing or damaged.
 
         `whole`: nor where the disk cannot read all of it. Touching such a page of a mapped file ends the process.
         """
@@ -107,7 +107,7 @@ class IndexFiles:
         return self._of(name)[0].exists()
 
     def delete(self, name: str) -> None:
-        """Delete one file; those who have it open keep what they see until they let go."""
+        """Delete one file; processes that have it open keep their view until they close it."""
         self._of(name)[0].unlink(missing_ok=True)
 
     def _of(self, name: str) -> tuple[Path, str]:
@@ -118,7 +118,7 @@ class IndexFiles:
 
 
 class _Content:
-    """What is written, piece by piece; the hash of the header is known once all is."""
+    """The bytes to write, piece by piece; the hash of the header is known at the end."""
 
     def __init__(self, seq: int, stored: StoredIndex) -> None:
         self._seq = seq

@@ -1,10 +1,10 @@
 """Backups: one snapshot of the database, and every blob that its rows refer to, while the service runs.
 
-SQLite's backup API copies the database (a copied file would lack what is still in the write-ahead log). Blobs never
-change and none is deleted while a backup runs, so every blob of the copied rows is there. Each is checked against the
-hash in its name. The folder gets its final name last: an interrupted backup never looks like a complete one. The
-manifest holds the hash of the database, the database the hashes of the blobs, and the manifest is signed: what was
-changed by somebody without the key is not restored.
+SQLite's backup API copies the database (a copied file would lack the pages in the write-ahead log). Blobs never change
+and none is deleted while a backup runs, so every blob of the copied rows is there. Each is checked against the hash in
+its name. The folder gets its final name last: an interrupted backup never looks like a complete one. The manifest holds
+the hash of the database, the database the hashes of the blobs,
+and the manifest is signed: a change made without the key is found and not restored.
 """
 
 from __future__ import annotations
@@ -95,7 +95,7 @@ def make_backup(home: Path, out: Path, version: str) -> Manifest:
 def restore_backup(archive: Path, home: Path, key: bytes | None) -> Manifest:
     """Make the data folder `home`, which must be missing or empty, out of a backup; all of it or nothing.
 
-    The backup must be signed with `key`, which becomes that of `home`; None takes any backup, whoever made it.
+    The backup must be signed with `key`, which becomes that of `home`; None takes a backup of any origin.
     Raises BackupRefused, FileExistsError, OSError.
     """
     _require_empty(home)
@@ -222,7 +222,7 @@ def _copy_file(source: Path, target: Path) -> None:
 
 @contextmanager
 def _own_folder(folder: Path) -> Iterator[Path]:
-    """The folder, empty and ours alone: what an interrupted attempt left in it is deleted.
+    """The folder, empty and ours alone: leftovers of an interrupted attempt are deleted.
 
     Raises FileExistsError where another process fills it. The lock goes with the folder when that gets another name,
     and with this process when it ends.

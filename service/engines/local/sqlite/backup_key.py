@@ -12,7 +12,7 @@ from typing import Any
 from revisit.service.engines.local.files.secret_files import kept_secret
 
 KEY_FILE = "backup.key"
-"""In the data folder, and in no backup: whoever can write where backups lie must not be able to read it."""
+"""In the data folder, and in no backup: a person with write access to the backups must not be able to read it."""
 
 
 def own_key(home: Path) -> bytes:

@@ -1,8 +1,9 @@
-"""Folding the write-ahead log back into the database by time and size, whoever wrote it.
+"""Folding the write-ahead log back into the database by time and size, for all writers.
 
-The gateway's own commits fold it back once 4000 pages (16 MiB) are in it; what the workers commit (a heartbeat every
-2 s, and their results) waited for the next of them, which in an idle or draining service never came. The size of the
-file does not say what is to be folded back: it is written anew from its beginning, and stays as long as it ever was.
+The gateway's own commits fold it back once 4000 pages (16 MiB) are in it;
+the workers' commits (a heartbeat every 2 s, and their results) waited for the next of them, which in an idle or
+draining service never came. The size of the file does not give the amount to fold back: it is written anew from its
+beginning, and stays as long as it ever was.
 """
 
 from __future__ import annotations
@@ -64,7 +65,7 @@ class Checkpoints:
 
 
 def _checkpoint(database: Path, mode: str) -> tuple[int, int, int]:
-    """What SQLite says of a checkpoint: whether it was kept from ending, pages in the log, pages folded back."""
+    """SQLite's report of a checkpoint: whether it was blocked, pages in the log, pages folded back."""
     try:
         with closing(sqlite3.connect(database, timeout=READERS_S)) as connection:
             connection.execute("PRAGMA synchronous=FULL")

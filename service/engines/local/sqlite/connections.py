@@ -1,4 +1,4 @@
-"""How a SQLite file is opened: what makes a connection durable or harmless, and how its transactions begin."""
+"""Opening a SQLite file: pragmas for durable or read-only connections, and the beginning of transactions."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ READER_PRAGMAS: dict[str, str | int] = {"query_only": 1, "busy_timeout": 5000, "
 
 
 def writer_engine(path: Path, *, checkpoints: bool, checksums: bool = True) -> Engine:
-    """An engine of one connection whose transactions take the write lock at once and are on disk when they commit.
+    """An engine of one connection: its transactions take the write lock at once and are on disk when they commit.
 
     `checkpoints`: after every 1000 pages a commit copies the write-ahead log back into the database. Every row that is
     written gets its checksum, unless the schema itself is to be changed (`checksums`).
@@ -46,19 +46,19 @@ def writer_engine(path: Path, *, checkpoints: bool, checksums: bool = True) -> E
 
 
 def reader_engine(path: Path) -> Engine:
-    """An engine whose transactions see one snapshot and can change nothing."""
+    """An engine for reading: its transactions see one snapshot and can change nothing."""
     engine = create_engine(f"sqlite:///{path}", json_deserializer=from_json, poolclass=NullPool)
     _prepare(engine, READER_PRAGMAS, "BEGIN")
     return engine
 
 
 def writer_pragmas(*, checkpoints: bool) -> dict[str, str | int]:
-    """What a writer's connection must have."""
+    """Required pragmas of a writer's connection."""
     return WRITER_PRAGMAS | {"wal_autocheckpoint": 4000 if checkpoints else 0}
 
 
 def require_pragmas(engine: Engine, pragmas: dict[str, str | int]) -> None:
-    """Raises RuntimeError where a connection is not as `pragmas` demand: SQLite ignores what it cannot grant."""
+    """Raises RuntimeError where a connection is not as `pragmas` demand: SQLite ignores values that it cannot grant."""
     with engine.connect() as connection:
         granted = {name: connection.exec_driver_sql(f"PRAGMA {name}").scalar() for name in pragmas}
     wrong = {name: value for name, value in granted.items() if value != pragmas[name]}
@@ -79,7 +79,7 @@ class DataVersion:
     """Whether anything was committed to a database, asked of SQLite's own counter on a connection that never writes."""
 
     def __init__(self, database: Path) -> None:
-        """Beside the service, whose files are there. Raises sqlite3.Error."""
+        """Opened beside the running service. Raises sqlite3.Error."""
         self._connection = sqlite3.connect(
             database, isolation_level=None, timeout=0.0, check_same_thread=False, cached_statements=1
         )
@@ -101,7 +101,7 @@ class DataVersion:
 
 
 def unreadable(database: Path) -> str:
-    """What is wrong with the file of the database; "" where it can be read, does not exist yet or is busy."""
+    """The damage of the database file; "" where it can be read, does not exist yet or is busy."""
     if not database.exists():
         return ""
     try:
@@ -114,7 +114,7 @@ def unreadable(database: Path) -> str:
 
 
 def write_ahead_log(database: Path) -> Path:
-    """The file of what is committed and not checkpointed yet."""
+    """The write-ahead log: commits that are not checkpointed yet."""
     return database.with_name(f"{database.name}-wal")
 
 

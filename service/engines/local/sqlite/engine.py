@@ -1,4 +1,4 @@
-"""SQLite's answers to what the SQL of the product asks of its engine."""
+"""SQLite's implementation of `DatabaseEngine`."""
 
 from __future__ import annotations
 

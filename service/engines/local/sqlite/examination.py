@@ -56,8 +56,8 @@ def examine(home: Path, *, full: bool) -> list[Finding]:
 
 @dataclass(frozen=True)
 class Scrubbed:
-    """The result of a scrub: blobs read, blobs moved to quarantine, blobs missing; SQLite's integrity verdict, and the
-    rows that are not what was written.
+    """The result of a scrub: blobs read, blobs moved to quarantine, blobs missing;
+    SQLite's integrity verdict, and the damaged rows.
     """
 
     checked: int

@@ -21,7 +21,7 @@ if TYPE_CHECKING:  # imported where something is migrated: a worker only asks fo
 MIGRATIONS = Path(__file__).resolve().parents[4] / "migrations"
 
 NEWEST_REVISION = max(step.name[:4] for step in (MIGRATIONS / "versions").glob("[0-9]*.py"))
-"""What this version brings a database to: the head of `migrations`. A start that finds it has nothing to read there."""
+"""The schema of this version: the head of `migrations`. A start that finds it has nothing to read there."""
 
 
 LAST_OF_ALL_STEPS = "74bcf880"
@@ -92,7 +92,7 @@ def _migrate(database: Path, revision: str) -> None:
 
 
 def _way_from(present: str) -> str:
-    """What to do with a database of a revision that is not known."""
+    """The advice for a database of an unknown revision."""
     if present > NEWEST_REVISION:
         return (
             f"it was written by a newer Revisit (schema {present}, this one knows up to {NEWEST_REVISION}). Start the "
@@ -122,7 +122,7 @@ def _configuration(connection: Connection) -> Config:
     """Alembic's configuration, without an ini file."""
     from alembic.config import Config
 
-    # Batch mode: what SQLite's ALTER TABLE cannot change is changed in a copy of the table.
+    # Batch mode: changes beyond SQLite's ALTER TABLE are made in a copy of the table.
     options = {"connection": connection, "render_as_batch": True, "transactional_ddl": True}
     config = Config(attributes={"options": options, "afterwards": partial(_seal, connection)})
     config.set_main_option("script_location", str(MIGRATIONS))

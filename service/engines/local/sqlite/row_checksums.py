@@ -2,7 +2,7 @@
 
 SQLite tells a damaged page only where its structure is wrong; a flipped bit of a number or a descriptor is another
 number to it. So each table has a column `checksum`, of all its other columns. A writer's connection fills it in by
-triggers that are its own (TEMP): nobody who writes a row can forget it, and the file needs no function of ours to be
+triggers that are its own (TEMP): no writer of a row can forget it, and the file needs no function of ours to be
 opened by other programs. The schema itself has one, too: SQLite keeps a number for its user, `user_version`. The audit
 log has a chain of hashes, and the counters of numbers are compared with the rows.
 """
@@ -35,7 +35,7 @@ def keep_checksums(connection: sqlite3.Connection) -> None:
     add_function(connection)
     for table, columns in _tables(connection).items():
         update = f"{_update(table, columns)} WHERE rowid = NEW.rowid"
-        # What the first trigger writes is no change for the second.
+        # The write of the first trigger is no change for the second.
         for event, when in (("INSERT", ""), ("UPDATE", f"WHEN NEW.{COLUMN} IS OLD.{COLUMN}")):
             name = f"checksum_{table}_{event}"
             connection.execute(
@@ -52,7 +52,7 @@ def seal(connection: sqlite3.Connection) -> None:
 
 
 def damaged_rows(connection: sqlite3.Connection) -> Iterator[str]:
-    """The rows that are not what was written, as "table number"; the schema and the counters of numbers, too.
+    """The damaged rows, as "table number"; the schema and the counters of numbers, too.
 
     Nothing of a database from before there were checksums. Raises sqlite3.Error where the damage keeps it from being
     read.
@@ -80,7 +80,7 @@ def _wrong_rows(connection: sqlite3.Connection, table: str, columns: str) -> Ite
 
 
 def _wrong_audit(connection: sqlite3.Connection) -> Iterator[str]:
-    """What is wrong with the chain of the audit log, whose last row is the last that was ever written."""
+    """The breaks in the chain of the audit log; its last row must be the last that was ever written."""
     (highest,) = connection.execute("SELECT max(seq) FROM sqlite_sequence WHERE name = 'audit_log'").fetchone()
     try:
         fault = judge(_audit_rows(connection), highest or 0).fault
@@ -119,7 +119,7 @@ def _update(table: str, columns: str) -> str:
 
 
 def _tables(connection: sqlite3.Connection) -> dict[str, str]:
-    """The tables that have a place for checksums, and what `row_checksum` is given of their rows."""
+    """The tables with a column for checksums, and the arguments of `row_checksum` for their rows."""
     found = {}
     for (table,) in connection.execute("SELECT name FROM sqlite_schema WHERE type = 'table' ORDER BY name").fetchall():
         columns = sorted(row[1] for row in connection.execute(f'PRAGMA table_info("{table}")'))
@@ -131,7 +131,7 @@ def _tables(connection: sqlite3.Connection) -> dict[str, str]:
 
 
 def _schema_checksum(connection: sqlite3.Connection) -> int:
-    """Of what is in the schema, and of its version; a signed number of 32 bits that is not 0."""
+    """Checksum of the schema and its version: a signed number of 32 bits that is not 0."""
     parts = connection.execute("SELECT type, name, tbl_name, sql FROM sqlite_schema ORDER BY type, name").fetchall()
     versions = connection.execute("SELECT version_num FROM alembic_version").fetchall()
     return (zlib.crc32(ascii([parts, versions]).encode()) or 1) - 2**31

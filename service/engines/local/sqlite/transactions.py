@@ -174,7 +174,7 @@ class _Write(Generic[T]):
 
 @dataclass(frozen=True)
 class _Outcome:
-    """What a member's work returned or raised; it is told after the commit of the group."""
+    """The result or error of a member's work, given out after the commit of the group."""
 
     write: _Write[Any]
     value: Any = None
@@ -191,7 +191,7 @@ class _Outcome:
 class GroupCommitter:
     """One thread that runs writes in the order of their arrival and answers each after its commit.
 
-    Every member of a group runs in a savepoint: what it raises undoes its own changes only. Nobody is answered before
+    Every member of a group runs in a savepoint: its error undoes its own changes only. Nobody is answered before
     the commit, because even an error may depend on the changes of an earlier member. If the commit fails, all members
     fail with it.
     """
@@ -218,7 +218,7 @@ class GroupCommitter:
         return write.future
 
     def close(self) -> None:
-        """Commit what is queued and end the thread."""
+        """Commit the queued work and end the thread."""
         with self._submitting:
             if not self._closed:
                 self._queue.put(None)
@@ -241,7 +241,7 @@ class GroupCommitter:
                 for write in self._group(first):
                     members.append(write)
                     outcomes.append(_attempt(connection, write))
-        except BaseException as error:  # noqa: BLE001  # every member of the group is told, whatever it was
+        except BaseException as error:  # noqa: BLE001  # every member of the group gets the error
             outcomes = [_Outcome(write, error=error) for write in members or [first]]
         for outcome in outcomes:
             outcome.tell()
