@@ -180,8 +180,8 @@ def sdk() -> str:
         "# The Python SDK",
         (
             "`from revisit import Client`, or `AsyncClient` for an event loop: the same groups of calls, each awaited "
-            "(`await client.maps.get(\"yard\")`). Both speak REST (`Client(\"https://host:8080\")`) and gRPC "
-            "(`Client.grpc(\"grpcs://host:8090\")`). Every call raises `revisit.sdk.errors.ApiError`; transforms are "
+            '(`await client.maps.get("yard")`). Both speak REST (`Client("https://host:8080")`) and gRPC '
+            '(`Client.grpc("grpcs://host:8090")`). Every call raises `revisit.sdk.errors.ApiError`; transforms are '
             "(4, 4) matrices named `T_target_source`, lengths metres. A call that has a short name can be written "
             "by it."
         ),

@@ -27,7 +27,7 @@ _NO_EVIDENCE: dict[str, Any] = {}
 class MapTask:
     """A map to optimise: its pose graph, its loops in the order of the graph's, and its poses by the version in force.
 
-    `session_ids` are those of the tracks. The loops have no evidence: that is five sixths of what they take. `audited`
+    `session_ids` are those of the tracks. The loops have no evidence: that is five sixths of their bytes. `audited`
     is that of the version in force.
     """
 
