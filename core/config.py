@@ -569,6 +569,27 @@ class VerificationConfig(Section):
     rival_share: float = parameter(
         0.85, "1", "own, decision 0080", "share of the overlap from which on a rival makes a loop ambiguous", low=0
     )
+    rival_repeats: float = parameter(
+        0.65,
+        "1",
+        "own, decision 0340",
+        "share of the overlap that both places must have with themselves a step on, to repeat by that step",
+        low=0,
+    )
+    rival_repeats_share: float = parameter(
+        0.7,
+        "1",
+        "own, decision 0340",
+        "share of the overlap from which on a pose is a rival where both places repeat by the step to it",
+        low=0,
+    )
+    rival_same_spot: float = parameter(
+        0.85,
+        "1",
+        "own, decision 0340",
+        "part of these shares and of rival_plan_share where both places were seen from one spot, and so alike",
+        low=0,
+    )
     support_anchors: int = parameter(
         2, "submaps", "own, decision 0161", "submaps beside an ambiguous loop whose accepted loops must agree with it"
     )

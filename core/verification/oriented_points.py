@@ -99,6 +99,10 @@ class OrientedPoints(Keeping):
         count = len(range(0, self.standing_count, share))
         return OrientedPoints(self.points[::share], self.normals[::share], count)
 
+    def chosen(self, rows: NDArray[np.bool_]) -> OrientedPoints:
+        """The points of which `rows` (n,) says so."""
+        return OrientedPoints(self.points[rows], self.normals[rows], int(rows[: self.standing_count].sum()))
+
     def moved(self, T_new_old: se3.Matrix4) -> OrientedPoints:
         """The same surface in another frame."""
         points, normals = se3.apply(T_new_old, self.points), self.normals @ T_new_old[:3, :3].T

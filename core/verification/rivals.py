@@ -7,6 +7,7 @@ all shifts and four turns, by correlation of coarse layered plans, then a few IC
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +20,8 @@ from revisit.core.kernels.plan_images import hit_products, layer_counts, occupie
 from revisit.core.pair_verdict import Hypothesis
 from revisit.core.verification.evidence import mutually_seen_through
 from revisit.core.verification.oriented_points import OrientedPoints, shared_shares
-from revisit.core.verification.registration import iterate_all
+from revisit.core.verification.overlap import overlap_beside
+from revisit.core.verification.registration import iterate, iterate_all
 
 Array64 = NDArray[np.float64]
 Images = NDArray[np.float32]
@@ -32,6 +34,7 @@ _LAYERS = 4
 _LAYER_M = 1.5
 _LOWEST_M = -2.0
 _NEARLY = 0.99  # counts by correlation are a little off
+_WORTH = 0.4  # of the overlap: with less after a few steps, fine ones lead to no rival
 
 
 @dataclass(frozen=True)
@@ -43,20 +46,29 @@ class Plan:
 
 
 def find_rivals(
-    T_match_query: se3.Matrix4, query: OrientedPoints, match: OrientedPoints, config: VerificationConfig
+    T_match_query: se3.Matrix4,
+    query: OrientedPoints,
+    match: OrientedPoints,
+    config: VerificationConfig,
+    *,
+    repeats: bool = True,
 ) -> tuple[Hypothesis, ...]:
     """The poses other than `T_match_query` in which the surfaces overlap nearly as much, best first.
 
     A rival lies farther than `rival_distance` or 10 degrees away, its overlap is at least `rival_share` of that of
-    `T_match_query`, and neither place has looked through more of the other than a loop may. Where there is one, other
+    `T_match_query`, and neither place has looked through more of the other than a loop may. Where there is none and
+    `repeats`, the poses count by which both places repeat (docs/decisions/0340). Where there is one, other
     poses nearby that fit as well are told, too (docs/decisions/0080): they make no loop ambiguous by themselves.
     """
     search = _Search.around(T_match_query, query, match, config)
     far = _Rule(config.rival_distance, config.rival_reach, config.rival_share)
-    rivals = search.refined((), propose(T_match_query, query, match, config), far)
+    ended = search.ended(propose(T_match_query, query, match, config), far)
+    rivals = search.refined((), ended, far)
+    if not rivals and repeats:
+        rivals = search.repeating(ended, far)
     if rivals:
         near = _Rule(config.rival_nearest, config.rival_nearest, config.rival_near_share)
-        rivals = search.refined(rivals, search.nearby(), near)
+        rivals = search.refined(rivals, search.ended(search.nearby(), near), near)
     return tuple(sorted(rivals, key=lambda rival: -rival.overlap))
 
 
@@ -87,21 +99,58 @@ class _Search:
         few = query.kept(OrientedPoints.thinned, share), match.kept(OrientedPoints.thinned, share)
         return cls(best, query, match, few, config)
 
-    def refined(
-        self, known: tuple[Hypothesis, ...], proposed: list[se3.Matrix4], rule: _Rule
-    ) -> tuple[Hypothesis, ...]:
-        """The `known` rivals, and those of the `proposed` poses that end as one by a rule."""
+    def ended(self, proposed: list[se3.Matrix4], rule: _Rule) -> list[Hypothesis]:
+        """Where a few steps of ICP lead from the `proposed` poses, apart from `best`."""
+        poses = iterate_all(proposed, self.few[0], self.match, rule.reach_m, self.config.rival_rounds)
+        return [
+            Hypothesis(self._overlap(one), one) for one in poses if _apart(one, self.best, self.query, rule.apart_m)
+        ]
+
+    def refined(self, known: tuple[Hypothesis, ...], ended: list[Hypothesis], rule: _Rule) -> tuple[Hypothesis, ...]:
+        """The `known` rivals, and those of the `ended` poses that are one by a rule."""
         rivals, config = list(known), self.config
-        least = rule.share * self._overlap(self.best) if proposed else 0.0
-        for T_rival in iterate_all(proposed, self.few[0], self.match, rule.reach_m, config.rival_rounds):
-            others = (self.best, *(rival.T_match_query for rival in rivals))
-            if not all(_apart(T_rival, other, self.query, rule.apart_m) for other in others):
+        least = rule.share * self._overlap(self.best) if ended else 0.0
+        for one in ended:
+            if one.overlap < least or not self._new(one, rivals, rule):
                 continue
-            overlap = self._overlap(T_rival)
-            through = mutually_seen_through(T_rival, self.query, self.match, config) if overlap >= least else 1.0
-            if through <= config.max_seen_through:
-                rivals.append(Hypothesis(overlap, T_rival))
+            if mutually_seen_through(one.T_match_query, self.query, self.match, config) <= config.max_seen_through:
+                rivals.append(one)
         return tuple(rivals)
+
+    def repeating(self, ended: list[Hypothesis], rule: _Rule) -> tuple[Hypothesis, ...]:
+        """The rivals among the `ended` poses, or more of them, to which leads a step by which both places repeat."""
+        rivals, config = list[Hypothesis](), self.config
+        if self.eased != 1.0:
+            ended = self.ended(propose(self.best, self.query, self.match, config, self.eased), rule)
+        least = self.eased * _WORTH * self._overlap(self.best) if ended else 0.0
+        worth = [one for one in ended if one.overlap >= least]
+        own = self.eased * overlap_beside(self.best, self.query, self.match, config) if worth else 0.0
+        for one in worth:
+            if self._new(one, rivals, rule):
+                T_rival = iterate(one.T_match_query, self.query, self.match, config.fine_distance, config.fine_rounds)
+                if self._repeats(T_rival, own):
+                    rivals.append(Hypothesis(self._overlap(T_rival), T_rival))
+        return tuple(rivals)
+
+    def _new(self, one: Hypothesis, rivals: list[Hypothesis], rule: _Rule) -> bool:
+        """Whether a pose is apart from all `rivals`."""
+        return all(_apart(one.T_match_query, other.T_match_query, self.query, rule.apart_m) for other in rivals)
+
+    @cached_property
+    def eased(self) -> float:
+        """The part of all shares that is asked for: less where both places were seen from the same spot."""
+        shift_m, turn = np.linalg.norm(self.best[:3, 3]), np.degrees(se3.rotation_angle(self.best))
+        return self.config.rival_same_spot if shift_m < 0.5 * self.config.spacing and turn < _SAME_TURN_DEG else 1.0
+
+    def _repeats(self, T_rival: se3.Matrix4, own: float) -> bool:
+        """Whether a pose explains enough beside an overlap `own`, and each place lies on itself a step on."""
+        best, config = self.best, self.config
+        placed = (T_rival @ se3.inverse(best), self.match), (se3.inverse(best) @ T_rival, self.query)
+        return (
+            overlap_beside(T_rival, self.query, self.match, config) >= config.rival_repeats_share * own
+            and all(overlap_beside(T, one, one, config) >= config.rival_repeats * own for T, one in placed)
+            and mutually_seen_through(T_rival, self.query, self.match, config) <= config.max_seen_through
+        )
 
     def nearby(self) -> list[se3.Matrix4]:
         """Local maxima of the overlap over horizontal shifts of `best` by up to twice `rival_distance`, best first."""
@@ -120,14 +169,21 @@ class _Search:
 
 
 def propose(
-    T_match_query: se3.Matrix4, query: OrientedPoints, match: OrientedPoints, config: VerificationConfig
+    T_match_query: se3.Matrix4,
+    query: OrientedPoints,
+    match: OrientedPoints,
+    config: VerificationConfig,
+    eased: float = 1.0,
 ) -> list[se3.Matrix4]:
-    """Poses at local maxima of the coarse overlap over shifts and quarter turns, best first; at most `rival_starts`."""
-    pixel = config.correlation_pixel
+    """Poses at local maxima of the coarse overlap over shifts and quarter turns, best first; at most `rival_starts`.
+
+    `eased`: the part of `rival_plan_share` that they must reach.
+    """
+    pixel, least = config.correlation_pixel, eased * config.rival_plan_share
     standing = se3.apply(T_match_query, query.standing.points)
-    plans = _overlap_plans(standing, match.kept(_plan, pixel), config.rival_plan_share * config.rival_common, pixel)
+    plans = _overlap_plans(standing, match.kept(_plan, pixel), least * config.rival_common, pixel)
     shares = plan_shares(plans.hits, plans.seen, config.rival_common * plans.seen[0, 0, 0])
-    rows = _peaks(shares, config.rival_plan_share * shares[0, 0, 0], config.rival_distance / pixel)
+    rows = _peaks(shares, least * shares[0, 0, 0], config.rival_distance / pixel)
     return [_shifted(T_match_query, plans.quarters[row], y, x, pixel) for row, y, x in rows[: config.rival_starts]]
 
 
@@ -213,3 +269,4 @@ def _middle(query: OrientedPoints) -> Array64:
 
 
 _TURN_APART_DEG = 10.0
+_SAME_TURN_DEG = 3.0

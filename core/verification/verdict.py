@@ -90,7 +90,7 @@ def _verify_in_order(
     if other is not None:
         measurement, reason = _judged(other, start.fit, query, match, similarity, config)
     if reason in _WITH_RIVALS and not (near is not None and near_decides):
-        rivals = find_rivals(measurement.T_match_query, *surfaces, config)
+        rivals = find_rivals(measurement.T_match_query, *surfaces, config, repeats=reason is None)
         measurement = dataclasses.replace(measurement, rivals=rivals)
         reason = RejectionReason.AMBIGUOUS if rivals else reason
     if reason in _TOLD:

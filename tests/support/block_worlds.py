@@ -62,6 +62,20 @@ def _houses(rng: np.random.Generator, first_m: float, last_m: float, y: float) -
         yield block((x, y + side, 0), tuple(size), Material.WALL)
 
 
+def storey(period_m: float, bays: int = 6) -> Blocks:
+    """A parking storey without cars: pillars in a square lattice under a roof, and parapets, 12 by 6 bays."""
+    long, wide = bays * period_m, 3.0 * period_m
+    parts = [block((0, 0, -0.5), (160, 160, 0.5), Material.GROUND)]
+    parts.append(block((0, 0, 2.9), (2 * long, 2 * wide, 0.3), Material.WALL))
+    for column in range(-bays, bays + 1):
+        for row in range(-3, 4):
+            parts.append(block((column * period_m, row * period_m, 0), (0.6, 0.6, 2.9), Material.WALL))
+    for side in (-1, 1):
+        parts.append(block((0, side * wide, 0), (2 * long, 0.3, 1.1), Material.WALL))
+        parts.append(block((side * long, 0, 0), (0.3, 2 * wide, 1.1), Material.WALL))
+    return joined(parts)
+
+
 def along(*corners: tuple[float, float]) -> list[np.ndarray]:
     """Poses of a sensor every STEP_M along straight lines between corners, looking ahead."""
     poses = []
