@@ -70,8 +70,8 @@ class Row:
     answer: str = ""
     form: Form = Form.MESSAGE
     cost: Cost = Cost.SMALL
-    json_bytes: int = 16 * 2**10
-    """Of a JSON body: several times what its fields take at most."""
+    json_bytes: int = 0
+    """The most that a JSON body may have; 0 for what is enough for all others."""
     tag: str = ""
     """Groups calls in the description of the interface; "" for that of the service's other calls."""
 

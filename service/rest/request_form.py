@@ -168,7 +168,7 @@ def _type_of_one(field: FieldDescriptor) -> Any:
 @cache
 def _part(descriptor: Descriptor) -> type[Request]:
     """The model of a message within a request."""
-    return _model(descriptor, tuple(_spelled(field, True) for field in descriptor.fields), Request.most_bytes)
+    return _model(descriptor, tuple(_spelled(field, True) for field in descriptor.fields), 0)
 
 
 _SCALARS: dict[int, type] = {
@@ -207,7 +207,8 @@ def _model(descriptor: Descriptor, spelled: tuple[Spelled, ...], json_bytes: int
     fields: Any = {one.name: (one.kind, one.default) for one in spelled}
     comment = COMMENTS.get(descriptor.full_name)
     model = create_model(descriptor.name, __base__=Request, __doc__=comment, **fields)
-    model.most_bytes = json_bytes
+    if json_bytes:
+        model.most_bytes = json_bytes
     return model
 
 
