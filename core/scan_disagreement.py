@@ -85,8 +85,8 @@ def scan_disagreement(submap: Submap) -> ScanDisagreement | None:
     surface = np.sqrt(max(unmended - float(np.median(pairs.variance)), 0.0) + _OF_MENDED * mended)
     origins = submap.origins.astype(np.float64)
     single = _single_poses(normal, moved.reshape(-1, 6), unmended, origins)
-    told = (float(surface), _askew(normal, right, origins), *single)
-    return ScanDisagreement(*(round(value, 5) for value in told))
+    values = (float(surface), _askew(normal, right, origins), *single)
+    return ScanDisagreement(*(round(value, 5) for value in values))
 
 
 def _lever(pairs: _PlaneHeights) -> float:

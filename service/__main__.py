@@ -41,11 +41,11 @@ def main(arguments: list[str] | None = None) -> int:
         print(_unit(), end="")
         return 0
     from revisit.service.failpoints import arm
-    from revisit.service.settings_here import UnusableSettings, settings_here
+    from revisit.service.settings_loading import UnusableSettings, load_settings
     from revisit.service.telemetry import configure_logging
 
     try:
-        settings = settings_here()
+        settings = load_settings()
         configure_logging(settings.log_level, hash_tenants=settings.hash_tenants_in_logs)
     except UnusableSettings as error:
         return _refuse(str(error))

@@ -48,9 +48,9 @@ from revisit.service.ports.tracing import NoTracer, Tracer
 from revisit.service.settings import Settings
 from revisit.service.use_cases import UseCases
 from revisit.service.worker.confinement import confine
-from revisit.service.worker.ends import STORAGE_FAILED
+from revisit.service.worker.exit_status import STORAGE_FAILED
 from revisit.service.worker.heartbeat import WorkerIdentity
-from revisit.service.worker.loading import told_while_loading
+from revisit.service.worker.loading import logged_while_loading
 from revisit.service.worker.loop import Worker, WorkerLimits
 
 if TYPE_CHECKING:
@@ -223,7 +223,7 @@ def run_worker(settings: Settings, worker_id: str | None, parent_pid: int | None
     share_one_heap()
     return_large_blocks(SPARE_BYTES)
     log.info("worker_loading")
-    with told_while_loading(log.info):
+    with logged_while_loading(log.info):
         recogniser = load_recogniser(settings.recogniser)
     begin_anew_if_compiled()
     stopping = threading.Event()

@@ -28,7 +28,7 @@ from revisit.service.settings import Settings
 from revisit.service.supervised import READY, STOPPING, tell_supervisor
 from revisit.service.tls import grpc_credentials, http_context
 from revisit.service.use_cases import UseCases
-from revisit.service.worker.ends import STORAGE_FAILED
+from revisit.service.worker.exit_status import STORAGE_FAILED
 from revisit.service.worker.metrics import WorkerMetrics
 from revisit.service.worker.supervisor import WorkerSupervisor
 
@@ -230,8 +230,8 @@ def _load_kernels() -> None:
     from revisit.core.kernels import adapted_cosines
     from revisit.formats import quantised_columns
 
-    quantised_columns.rehearse()
-    adapted_cosines.rehearse()
+    quantised_columns.warm_up()
+    adapted_cosines.warm_up()
 
 
 def _listen(host: str, port: int) -> socket.socket:

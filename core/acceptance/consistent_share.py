@@ -50,10 +50,10 @@ def low_consistent_share(claims: Sequence[LoopClaim], stride_m: float) -> dict[i
     """
     changed = dict[int, LoopClaim]()
     for rows in by_matched_drive(claims, lambda claim: bool(_poses(claim))):
-        told = [claims[row] for row in rows]
-        asked = [n for n, one in enumerate(told) if one.accepted_by_itself or _is_doubted_by_share_alone(one)]
-        for n, share in zip(asked, evident_shares(told, asked, stride_m), strict=True):
-            claim = told[n]
+        chosen = [claims[row] for row in rows]
+        asked = [n for n, one in enumerate(chosen) if one.accepted_by_itself or _is_doubted_by_share_alone(one)]
+        for n, share in zip(asked, evident_shares(chosen, asked, stride_m), strict=True):
+            claim = chosen[n]
             if share.is_enough and not claim.accepted:
                 changed[rows[n]] = claim.without(Doubt.LOW_CONSISTENT_SHARE)
             elif not share.is_enough and claim.accepted and not claim.by_hand:

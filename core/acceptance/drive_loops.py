@@ -173,9 +173,11 @@ class DriveLoops:
 
     def _neighbour(self, row: int, other: int) -> NeighbourLoop:
         poses = se3.inverse(self._T_odom_match[row]) @ self._frames[other] @ self._T_odom_query[row]
-        one, told = self._loops[row], self._loops[other]
-        query_m, match_m = _ahead_m(one.query, told.query), _ahead_m(one.match, told.match)
-        return NeighbourLoop(told.accepted_by_itself, tuple(poses), query_m, match_m, float(self._way_m[row, other]))
+        one, neighbour = self._loops[row], self._loops[other]
+        query_m, match_m = _ahead_m(one.query, neighbour.query), _ahead_m(one.match, neighbour.match)
+        return NeighbourLoop(
+            neighbour.accepted_by_itself, tuple(poses), query_m, match_m, float(self._way_m[row, other])
+        )
 
 
 def frames_between(claims: Sequence[LoopClaim], poses: Sequence[Sequence[se3.Matrix4]]) -> list[Poses]:

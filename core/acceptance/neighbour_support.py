@@ -51,7 +51,7 @@ class NeighbourSupport:
 
 
 @dataclass(frozen=True)
-class ToldPose:
+class PredictedPose:
     """T_match_query (4, 4) of a pair as the loops beside it tell it; `agreeing`: how many of them tell the same."""
 
     T_match_query: se3.Matrix4
@@ -83,7 +83,7 @@ def find_support(
     return None
 
 
-def told_pose(neighbours: Sequence[NeighbourLoop], config: VerificationConfig) -> ToldPose | None:
+def predicted_pose(neighbours: Sequence[NeighbourLoop], config: VerificationConfig) -> PredictedPose | None:
     """The first pose of the neighbour with the shortest way, of those within `support_reach`; None where there is none.
 
     How many agree with it, itself among them, is its weight: a guess, or known (docs/decisions/0161).
@@ -92,7 +92,7 @@ def told_pose(neighbours: Sequence[NeighbourLoop], config: VerificationConfig) -
     if not near:
         return None
     T_match_query = min(near, key=lambda one: one.way_m).poses[0]
-    return ToldPose(T_match_query, sum(agrees(T_match_query, one, config) for one in near))
+    return PredictedPose(T_match_query, sum(agrees(T_match_query, one, config) for one in near))
 
 
 def _within_reach(neighbours: Sequence[NeighbourLoop], config: VerificationConfig) -> list[NeighbourLoop]:

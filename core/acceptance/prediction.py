@@ -15,7 +15,7 @@ import numpy as np
 
 from revisit.core.acceptance.claim import Station, StationInMap
 from revisit.core.acceptance.drive_loops import least_way_m
-from revisit.core.acceptance.neighbour_support import NeighbourLoop, told_pose
+from revisit.core.acceptance.neighbour_support import NeighbourLoop, predicted_pose
 from revisit.core.config import PipelineConfig
 from revisit.core.geometry import se3
 from revisit.core.geometry.se3 import Matrix4
@@ -77,7 +77,7 @@ class PredictedPoses:
 
     def of(self, row: int) -> PredictedPose | None:
         """The pose that the pairs so far predict of the candidate in a row; None where they predict none."""
-        found = told_pose([*self._by_odometry(row), *self._by_map(row)], self._config.verification)
+        found = predicted_pose([*self._by_odometry(row), *self._by_map(row)], self._config.verification)
         if found is None:
             return None
         # Far candidates are always compared: a second place that looks alike must not be hidden.

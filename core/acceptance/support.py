@@ -31,12 +31,12 @@ def without_lost_support(
     """
     lost = dict[int, LoopClaim]()
     for rows in by_matched_drive(claims, says_a_pose):
-        told = [claims[row] for row in rows]
-        gone = [one.withdrawn for one in told]
+        chosen = [claims[row] for row in rows]
+        gone = [one.withdrawn for one in chosen]
         if not any(gone):
             continue
-        between = DriveLoops(told, stride_m, config)
-        for n, claim in enumerate(told):
+        between = DriveLoops(chosen, stride_m, config)
+        for n, claim in enumerate(chosen):
             if not claim.decided_by_others or claim.by_hand or not between.agrees_with_any(n, gone):
                 continue
             poses = (claim.hypotheses[0], *_ruled_out(claim))
@@ -63,9 +63,9 @@ def with_support(
     """The ambiguous claims that the others decide, by row, as they are then."""
     decided = dict[int, LoopClaim]()
     for rows in by_matched_drive(claims, says_a_pose):
-        told = [claims[row] for row in rows]
-        between = DriveLoops(told, stride_m, config)
-        for n, claim in enumerate(told):
+        chosen = [claims[row] for row in rows]
+        between = DriveLoops(chosen, stride_m, config)
+        for n, claim in enumerate(chosen):
             if not (claim.ambiguous and between.has_accepted_neighbour(n)):
                 continue
             support = find_support(claim.hypotheses, between.neighbours(n), config)

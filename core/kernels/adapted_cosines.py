@@ -22,7 +22,7 @@ def adapted_cosines(
     return found
 
 
-def rehearse() -> None:
+def warm_up() -> None:
     """Compare a descriptor, for the compiler's sake alone."""
     one = np.ones((1, 2), dtype=np.float32)
     adapted_cosines(one, one, np.zeros(1, np.int64), one[0], one[0], 1e-6)

@@ -236,7 +236,7 @@ def elimination_order(first: Rows, second: Rows, count: int) -> Rows:
     return np.asarray(factors.perm_c, dtype=np.int64)
 
 
-def rehearse() -> None:
+def warm_up() -> None:
     """Solve two poses, for the compiler's sake alone."""
     poses = np.tile(np.eye(4), (2, 1, 1))
     edges = Edges.of_motions([(0, 1)], [np.eye(4)], [np.eye(SIDE)])

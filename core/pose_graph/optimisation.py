@@ -99,7 +99,7 @@ class OptimisedGraph:
 
 
 def optimise(
-    graph: PoseGraph, robustness: Robustness = Robustness.COMMIT, told: Callable[[int, int], None] = lambda *_: None
+    graph: PoseGraph, robustness: Robustness = Robustness.COMMIT, progress: Callable[[int, int], None] = lambda *_: None
 ) -> OptimisedGraph:
     """Place the sessions by the loops that agree, optimise each component, set loops aside that do not fit.
 
@@ -109,17 +109,17 @@ def optimise(
     `told` hears how many of how many components are done, and may raise to end the work.
     """
     if robustness not in (Robustness.ONLINE, Robustness.COMMIT):
-        return _judged(graph, robustness, told)
+        return _judged(graph, robustness, progress)
     graph = straightened(rescaled(graph, variance_factor(graph)))
-    answer = _judged(graph, robustness, told)
-    return _without_faults(graph, answer, told) if robustness is Robustness.COMMIT else answer
+    answer = _judged(graph, robustness, progress)
+    return _without_faults(graph, answer, progress) if robustness is Robustness.COMMIT else answer
 
 
 Seeking = Callable[[PoseGraph, OptimisedGraph], list[Mending]]
 """A way to seek faults of odometry in a graph and its answer."""
 
 
-def _without_faults(graph: PoseGraph, answer: OptimisedGraph, told: Callable[[int, int], None]) -> OptimisedGraph:
+def _without_faults(graph: PoseGraph, answer: OptimisedGraph, progress: Callable[[int, int], None]) -> OptimisedGraph:
     """The answer with faults of odometry mended, as long as that explains more of the loops; or `answer`."""
     faults: list[OdometryFault] = []
     odd: Seeking = partial(_broken, odd=True)
@@ -128,7 +128,7 @@ def _without_faults(graph: PoseGraph, answer: OptimisedGraph, told: Callable[[in
         for _ in range(rounds):
             more = sought(graph, answer)
             mended = _mended(graph, more)
-            other = _judged(mended, Robustness.COMMIT, told) if more else answer
+            other = _judged(mended, Robustness.COMMIT, progress) if more else answer
             if not _explains_more(other, answer, len(more)):
                 break
             graph, answer, faults = mended, other, faults + [one.fault for one in more]
@@ -172,7 +172,7 @@ def _explains_more(other: OptimisedGraph, answer: OptimisedGraph, faults: int) -
     return other.price + FAULT_PRICE * faults < answer.price
 
 
-def _judged(graph: PoseGraph, robustness: Robustness, told: Callable[[int, int], None]) -> OptimisedGraph:
+def _judged(graph: PoseGraph, robustness: Robustness, progress: Callable[[int, int], None]) -> OptimisedGraph:
     """Poses and loops by the odometry as it is."""
     sets, within = consistent_sets(graph), LoopsWithin.of(graph)
     components = [one.anchored(graph.anchors) for one in place_sessions(graph, sets)]
@@ -183,7 +183,7 @@ def _judged(graph: PoseGraph, robustness: Robustness, told: Callable[[int, int],
     states = [LoopState.UNCONNECTED] * len(graph.loops)
     residuals = np.full(len(graph.loops), np.nan)
     for done, component in enumerate(components):
-        told(done, len(components))
+        progress(done, len(components))
         problem = Problem.of(graph, component, trusted)
         solution, kept = _solve(problem, robustness)
         covariances.update(problem.by_session(problem.covariances(solution, kept)))

@@ -59,7 +59,7 @@ class Bag1File:
                         self.damaged += 1
                 elif _operation(header) in (_MESSAGE, _CONNECTION):
                     stream.seek(start)
-                    yield from self._told(header, stream.read(size), Place(None, start, size))
+                    yield from self._messages_of(header, stream.read(size), Place(None, start, size))
 
     def data(self, place: Place) -> bytes:
         """The bytes of a message."""
@@ -69,7 +69,7 @@ class Bag1File:
             stream.seek(place.offset)
             return stream.read(place.size)
 
-    def _told(self, header: Header, content: bytes, place: Place) -> Iterator[Message]:
+    def _messages_of(self, header: Header, content: bytes, place: Place) -> Iterator[Message]:
         """The message of a record; a connection is remembered instead."""
         number = header.get(b"conn", b"")
         if _operation(header) == _CONNECTION:
@@ -90,7 +90,7 @@ class Bag1File:
             except MalformedBody as error:
                 raise DamagedChunk("a chunk does not hold whole records") from error
             if _operation(fields) in (_MESSAGE, _CONNECTION):
-                yield from self._told(fields, content, Place(start, at + _LENGTH.size, len(content)))
+                yield from self._messages_of(fields, content, Place(start, at + _LENGTH.size, len(content)))
             at = after
 
     def _chunk(self, start: int) -> bytes:

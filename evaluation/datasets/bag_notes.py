@@ -52,14 +52,14 @@ def _left(pair: Pairing, found: BagTopics) -> list[str]:
         for option, names in (("--topic", clouds), ("--odometry", poses)) if names
     ]  # fmt: skip
     held = found.transforms.topics(pair.clouds.name, pair.poses, found.clouds)
-    if strange := sorted(found.transforms.told.keys() - set(held)):
+    if strange := sorted(found.transforms.by_topic.keys() - set(held)):
         said.append(f"not used: transforms of {', '.join(strange)}, which are in the namespace of other topics")
     return said
 
 
 def _gaps(pairs: list[Pairing], stamps: Stamps) -> list[str]:
-    told = np.concatenate([pair.clouds.stamps_ns for pair in pairs])
-    missing = int(((told >= stamps[0]) & (told <= stamps[-1])).sum()) - len(stamps)
+    stamped = np.concatenate([pair.clouds.stamps_ns for pair in pairs])
+    missing = int(((stamped >= stamps[0]) & (stamped <= stamps[-1])).sum()) - len(stamps)
     return (
         [f"{missing} clouds lie in gaps of the poses, in which the robot moved, and were left out"] if missing else []
     )

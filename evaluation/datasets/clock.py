@@ -50,10 +50,13 @@ def check_clocks(pairs: Iterable[Pairing], found: BagTopics) -> list[Finding]:
     """Whether stamps of the topics in use go back in the order of the bag."""
     back: dict[str, SetBack] = {}
     for pair in pairs:
-        told = [(pair.clouds.name, pair.clouds.stamps_ns), *(("the transforms", stamps) for stamps in pair.told_ns())]
+        streams = [
+            (pair.clouds.name, pair.clouds.stamps_ns),
+            *(("the transforms", stamps) for stamps in pair.stamps_ns()),
+        ]
         if pair.poses in found.poses:
-            told.append((pair.poses, found.poses[pair.poses].stamps_ns))
-        for topic, stamps_ns in told:
+            streams.append((pair.poses, found.poses[pair.poses].stamps_ns))
+        for topic, stamps_ns in streams:
             if one := set_back(topic, stamps_ns):
                 back.setdefault(topic, one)
     if not back:

@@ -59,8 +59,10 @@ class McapFile:
                 if encoding is not None:
                     channels[_u16(content, 0)] = topic, self.topics[topic], encoding
             elif record == _MESSAGE and _u16(content, 0) in channels:
-                topic, kind, told = channels[_u16(content, 0)]
-                yield Message(topic, kind, content[22:], Place(place.chunk, place.offset + 22, place.size - 22), told)
+                topic, kind, encoding = channels[_u16(content, 0)]
+                yield Message(
+                    topic, kind, content[22:], Place(place.chunk, place.offset + 22, place.size - 22), encoding
+                )
 
     def data(self, place: Place) -> bytes:
         """The bytes of a message."""

@@ -94,10 +94,10 @@ class Pairing:
         worlds = [pair.body.target if isinstance(pair.body, BetweenFrames) else "" for pair in (self, other)]
         return (self.poses, self.relation, worlds[0]) == (other.poses, other.relation, worlds[1])
 
-    def told_ns(self) -> list[Stamps]:
+    def stamps_ns(self) -> list[Stamps]:
         """The times of each transform in use that moves, in the order of the bag."""
         ways = [part for part in (self.body, self.mounting, self.cloud_frame) if isinstance(part, BetweenFrames)]
-        return [stamps for way in ways for stamps in way.tree.told_ns(way.target, way.source)]
+        return [stamps for way in ways for stamps in way.tree.stamps_ns(way.target, way.source)]
 
     def covered(self) -> NDArray[np.bool_]:
         """For which clouds all that is needed is known."""

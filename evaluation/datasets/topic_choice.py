@@ -129,16 +129,16 @@ def _pairings(cloud: CloudTopic, found: BagTopics, wanted: WantedTopics) -> Iter
     if wanted.odometry not in (None, TF, *found.poses, *transforms.moving):
         there = ", ".join(sorted(found.poses)) or "none"
         raise BadField(f"no poses on {str(wanted.odometry)[:80]}; topics with poses: {there}", field="odometry")
-    sources, others = [*found.poses, *transforms.moving], [*found.clouds, *transforms.told]
+    sources, others = [*found.poses, *transforms.moving], [*found.clouds, *transforms.by_topic]
     for topic in found.poses.values():
         named = wanted.odometry == topic.name
         if named or (wanted.odometry is None and not of_another_robot(cloud.name, topic.name, sources, others)):
             tree = transforms.tree(transforms.topics(cloud.name, topic.name, found.clouds))
             yield _with_odometry(cloud, topic, tree, wanted)
-    told = _topics_of_transforms(cloud, found, wanted)
-    moving = [topic for topic in told if topic in transforms.moving]
+    topics = _topics_of_transforms(cloud, found, wanted)
+    moving = [topic for topic in topics if topic in transforms.moving]
     if moving and wanted.odometry in (None, TF, *moving):
-        pair = _with_transforms(cloud, ", ".join(moving), transforms.tree(told), wanted)
+        pair = _with_transforms(cloud, ", ".join(moving), transforms.tree(topics), wanted)
         yield from [] if pair is None else [pair]
 
 
@@ -178,20 +178,20 @@ def _carrier(frame: str, root: str | None, tree: TransformTree) -> str | None:
     return frame if body is None or root not in tree.ancestors(body) else body
 
 
-def _disagreement(cloud: CloudTopic, told: BetweenFrames, given: se3.Matrix4) -> tuple[str, ...]:
+def _disagreement(cloud: CloudTopic, frames: BetweenFrames, given: se3.Matrix4) -> tuple[str, ...]:
     """The warning where the transforms tell another mounting than the user."""
-    if not cloud.frame or not told.tree.linked(told.target, told.source):
+    if not cloud.frame or not frames.tree.linked(frames.target, frames.source):
         return ()
-    known = cloud.stamps_ns[told.covered(cloud.stamps_ns)]
+    known = cloud.stamps_ns[frames.covered(cloud.stamps_ns)]
     if len(known) == 0:
         return ()
-    apart = se3.inverse(told.at(int(known[0]))) @ given
+    apart = se3.inverse(frames.at(int(known[0]))) @ given
     metres, degrees = float(np.linalg.norm(apart[:3, 3])), float(np.degrees(np.linalg.norm(se3.log(apart)[3:])))
     if metres < SAME_MOUNTING_M and degrees < SAME_MOUNTING_DEG:
         return ()
-    if told.source == told.target:
-        return (f"--T-body-sensor is used, though the poses follow {told.source}, the frame of the clouds itself",)
-    other = f"another mounting of {told.source} on {told.target}, {metres:.2f} m and {degrees:.1f} degrees from it"
+    if frames.source == frames.target:
+        return (f"--T-body-sensor is used, though the poses follow {frames.source}, the frame of the clouds itself",)
+    other = f"another mounting of {frames.source} on {frames.target}, {metres:.2f} m and {degrees:.1f} degrees from it"
     return (f"--T-body-sensor is used, though the transforms tell {other}",)
 
 
@@ -279,11 +279,11 @@ def _no_mounting(cloud: CloudTopic, found: BagTopics, wanted: WantedTopics) -> s
     moved = [body for body in tree.moved(ODOMETRY_FRAMES) if cloud.frame not in tree.ancestors(body)]
     if not moved or (wanted.T_body_sensor is not None and len(moved) == 1):
         return ""
-    told = f"the transforms tell where {', '.join(f'{body} is in {tree.parent(body)}' for body in moved[:5])}"
+    known = f"the transforms tell where {', '.join(f'{body} is in {tree.parent(body)}' for body in moved[:5])}"
     sensor = f"{cloud.frame or 'the sensor'} of {cloud.name}"
     if len(moved) == 1:
-        return f"{told}, but not where {sensor} sits on it: say it with --T-body-sensor"
-    return f"{told}, but not on which of them {sensor} sits: record /tf_static, too, or the odometry of one of them"
+        return f"{known}, but not where {sensor} sits on it: say it with --T-body-sensor"
+    return f"{known}, but not on which of them {sensor} sits: record /tf_static, too, or the odometry of one of them"
 
 
 def _listed(found: BagTopics) -> str:

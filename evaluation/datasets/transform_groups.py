@@ -18,17 +18,17 @@ class TransformGroups:
     hold for all topics.
     """
 
-    told: dict[str, list[StampedTransform]] = field(default_factory=dict)
+    by_topic: dict[str, list[StampedTransform]] = field(default_factory=dict)
     _trees: dict[tuple[str, ...], TransformTree] = field(default_factory=dict, repr=False)
 
     def take(self, topic: str, transforms: Iterable[StampedTransform]) -> None:
         """Add the transforms of a message."""
-        self.told.setdefault(topic, []).extend(transforms)
+        self.by_topic.setdefault(topic, []).extend(transforms)
 
     @property
     def moving(self) -> list[str]:
         """The topics that tell transforms that move, in alphabetical order."""
-        return sorted(topic for topic in self.told if not _is_static(topic))
+        return sorted(topic for topic in self.by_topic if not _is_static(topic))
 
     def topics(self, cloud: str, poses: str | None, clouds: Collection[str]) -> tuple[str, ...]:
         """The topics whose transforms hold for clouds and their poses, those of the longest namespaces first.
@@ -36,11 +36,11 @@ class TransformGroups:
         A single namespace of transforms holds for clouds outside of it, too, unless there are such clouds within it.
         """
         names = [cloud] if poses is None else [cloud, poses]
-        held = {topic for topic in self.told if any(_within(name, topic) for name in names)}
-        named = {namespace(topic) for topic in self.told} - {()}
+        held = {topic for topic in self.by_topic if any(_within(name, topic) for name in names)}
+        named = {namespace(topic) for topic in self.by_topic} - {()}
         moves_at_root = any(not namespace(topic) for topic in self.moving)
         if len(named) == 1 and not moves_at_root:
-            held |= {topic for topic in self.told if not any(twins(cloud, c) and _within(c, topic) for c in clouds)}
+            held |= {topic for topic in self.by_topic if not any(twins(cloud, c) and _within(c, topic) for c in clouds)}
         return tuple(sorted(held, key=lambda topic: (-len(namespace(topic)), topic)))
 
     def tree(self, topics: tuple[str, ...]) -> TransformTree:
@@ -55,7 +55,7 @@ class TransformGroups:
     def _of(self, topics: Iterable[str]) -> Iterator[StampedTransform]:
         owner: dict[str, tuple[str, ...]] = {}
         for topic in topics:
-            for transform in self.told[topic]:
+            for transform in self.by_topic[topic]:
                 if owner.setdefault(transform.child, namespace(topic)) == namespace(topic):
                     yield transform
 

@@ -25,13 +25,13 @@ class _Edge:
     parent: str
     poses: StampedPoses
     moves: bool
-    told_ns: Stamps
+    stamps_ns: Stamps
 
     @property
     def changes(self) -> bool:
         """Whether it is told more than once, and not always the same."""
-        told = self.poses.T_world_body
-        return self.moves and not np.allclose(told, told[0], rtol=0.0, atol=SAME)
+        poses = self.poses.T_world_body
+        return self.moves and not np.allclose(poses, poses[0], rtol=0.0, atol=SAME)
 
     def covered(self, stamps_ns: Stamps) -> NDArray[np.bool_]:
         return self.poses.covered(stamps_ns) if self.moves else np.ones(len(stamps_ns), dtype=bool)
@@ -47,11 +47,11 @@ class TransformTree:
         """From the transforms of /tf and those of /tf_static. A frame keeps the parent that is told first."""
         self._edges: dict[str, _Edge] = {}
         for transforms, moves in ((fixed, False), (moving, True)):
-            told: dict[str, list[StampedTransform]] = {}
+            samples_of: dict[str, list[StampedTransform]] = {}
             for transform in transforms:
                 if transform.child not in self._edges:
-                    told.setdefault(transform.child, []).append(transform)
-            self._edges |= {child: _edge(samples, moves) for child, samples in told.items()}
+                    samples_of.setdefault(transform.child, []).append(transform)
+            self._edges |= {child: _edge(samples, moves) for child, samples in samples_of.items()}
 
     @property
     def frames(self) -> set[str]:
@@ -103,9 +103,9 @@ class TransformTree:
             raise BadField(f"no transform between the frames {target} and {source}", field="frame")
         return se3.inverse(self._up(target, meeting, stamp_ns)) @ self._up(source, meeting, stamp_ns)
 
-    def told_ns(self, target: str, source: str) -> list[Stamps]:
+    def stamps_ns(self, target: str, source: str) -> list[Stamps]:
         """The times of each transform that moves between two linked frames, in the order of the bag."""
-        return [edge.told_ns for edge in self._way(target, source) if edge.moves]
+        return [edge.stamps_ns for edge in self._way(target, source) if edge.moves]
 
     def _meeting(self, target: str, source: str) -> str | None:
         """The lowest frame that both lie in."""
@@ -138,9 +138,9 @@ def stamped_poses(transforms: Iterable[StampedTransform]) -> StampedPoses:
 
 def _edge(samples: list[StampedTransform], moves: bool) -> _Edge:
     parent = samples[0].parent
-    told = [sample for sample in samples if sample.parent == parent]
-    stamps = np.array([sample.stamp_ns for sample in told], dtype=np.int64)
+    kept = [sample for sample in samples if sample.parent == parent]
+    stamps = np.array([sample.stamp_ns for sample in kept], dtype=np.int64)
     if moves and len(np.unique(stamps)) > 1:
-        return _Edge(parent, stamped_poses(told), True, stamps)
+        return _Edge(parent, stamped_poses(kept), True, stamps)
     # As in ROS, the last static transform holds, whatever its stamp.
-    return _Edge(parent, stamped_poses(told[-1:]), False, stamps[-1:])
+    return _Edge(parent, stamped_poses(kept[-1:]), False, stamps[-1:])

@@ -74,9 +74,9 @@ class Bow3d:
         for asked in words_of(query, self.nearest):
             start = np.searchsorted(known.word, asked)
             size = np.searchsorted(known.word, asked, side="right") - start
-            told = (asked > 0) & (size > 0) & (size <= self.frequent * known.places_a_word)
+            useful = (asked > 0) & (size > 0) & (size <= self.frequent * known.places_a_word)
             rows = np.concatenate(
-                [np.arange(at, at + many) for at, many in zip(start[told], size[told], strict=True)] or [start[:0]]
+                [np.arange(at, at + many) for at, many in zip(start[useful], size[useful], strict=True)] or [start[:0]]
             )
             _, first, shared = np.unique(known.point[rows], return_index=True, return_counts=True)
             for scan, count in zip(known.scan[rows[first]].tolist(), shared.tolist(), strict=True):

@@ -149,8 +149,8 @@ def relative_drift(T_world_sensor: Floats, T_odom_sensor: Floats) -> float:
     starts = np.flatnonzero(ends < len(way))
     ends = ends[starts]
     true = np.linalg.inv(T_world_sensor[starts]) @ T_world_sensor[ends]
-    told = np.linalg.inv(T_odom_sensor[starts]) @ T_odom_sensor[ends]
-    return float(np.linalg.norm((np.linalg.inv(true) @ told)[:, :3, 3], axis=1).mean() / SEGMENT_M)
+    measured = np.linalg.inv(T_odom_sensor[starts]) @ T_odom_sensor[ends]
+    return float(np.linalg.norm((np.linalg.inv(true) @ measured)[:, :3, 3], axis=1).mean() / SEGMENT_M)
 
 
 def _way(T_world_sensor: Floats) -> Floats:

@@ -200,8 +200,8 @@ def _tell(done: Ingested, session: Session, as_json: bool) -> None:
     if as_json:
         emit_json(asdict(done))
         return
-    told = asdict(done) | {"findings": ", ".join(done.findings) or "none"}
-    emit_table("Ingested", ("what", "value"), ((what, value) for what, value in told.items() if value is not None))
+    fields = asdict(done) | {"findings": ", ".join(done.findings) or "none"}
+    emit_table("Ingested", ("what", "value"), ((what, value) for what, value in fields.items() if value is not None))
     warn_of_findings(session)
 
 
@@ -224,10 +224,10 @@ def _sent(client: Client, session: Session, recording: Recording, extent: Extent
         return client.finish_session(session), sent
     left_out = len(recording) - extent.count(recording)
     if left_out and extent.finish is None:
-        told = (
+        advice = (
             f"{session.name} is not finished: --limit leaves {left_out} scans out, which the command sends without it"
         )
-        typer.echo(told, err=True)
+        typer.echo(advice, err=True)
     return session, sent
 
 
@@ -319,11 +319,11 @@ def _stream_of(
 
 def _teller_of_delays() -> Callable[[str, str], None]:
     """Says on stderr why the service takes no scan; each reason once."""
-    told: set[str] = set()
+    shown: set[str] = set()
 
     def delayed(reason: str, message: str) -> None:
-        if reason not in told:
-            told.add(reason)
+        if reason not in shown:
+            shown.add(reason)
             tell(f"revisit: the service takes no scan now: {reason}: {message}; this waits, and goes on by itself")
 
     return delayed

@@ -105,12 +105,12 @@ def warn(recording: Recording) -> None:
 
     signs.doing(f"looking at scans of {recording.name}")
     for finding in inspect_recording(recording).findings:
-        told = f"{finding.measured}. Likely cause: {finding.cause}. {finding.advice[:1].upper()}{finding.advice[1:]}."
-        typer.echo(f"{recording.name}: warning: {finding.code}: {told}", err=True)
+        line = f"{finding.measured}. Likely cause: {finding.cause}. {finding.advice[:1].upper()}{finding.advice[1:]}."
+        typer.echo(f"{recording.name}: warning: {finding.code}: {line}", err=True)
 
 
 def warn_of_findings(session: Session) -> None:
     """Say on stderr what the workers have found in a session."""
     for finding in session.findings:
-        told = f"in {finding.submaps} submaps. Likely cause: {finding.cause}"
-        typer.echo(f"{session.name}: warning: {finding.code}: {told}. To do: {finding.advice}.", err=True)
+        line = f"in {finding.submaps} submaps. Likely cause: {finding.cause}"
+        typer.echo(f"{session.name}: warning: {finding.code}: {line}. To do: {finding.advice}.", err=True)

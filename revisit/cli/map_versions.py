@@ -49,10 +49,10 @@ def save(
             submaps, map_hash = write_from_service(client, out, found, chosen, around, reporter(bar))
         else:
             submaps, map_hash = _published(client, out, chosen)
-    told = vda5050(map_id, chosen, map_hash, link)
-    out.with_suffix(".vda5050.json").write_text(_json(told))
+    document = vda5050(map_id, chosen, map_hash, link)
+    out.with_suffix(".vda5050.json").write_text(_json(document))
     if json:
-        emit_json({"file": str(out), "submaps": submaps, **told})
+        emit_json({"file": str(out), "submaps": submaps, **document})
     else:
         say(f"{out}: version {chosen.version} of map {map_id}, {submaps} submaps, mapHash {map_hash}")
 
@@ -109,8 +109,8 @@ def check(
     if expected and found != expected.lower():
         raise refuse(f"{file} has the hash {found}")
     if json:
-        told = {"map_id": one.map_id, "map_version": one.map_version, "submaps": submaps, "map_hash": found}
-        emit_json({**told, "changes": None if changes is None else asdict(changes)})
+        document = {"map_id": one.map_id, "map_version": one.map_version, "submaps": submaps, "map_hash": found}
+        emit_json({**document, "changes": None if changes is None else asdict(changes)})
         return
     say(f"{file}: version {one.map_version} of map {one.map_id}, {submaps} submaps, whole, mapHash {found}")
     if changes is not None:

@@ -16,9 +16,9 @@ if TYPE_CHECKING:
 
 def data_folder(home: Path | None) -> Path:
     """The folder that was named, else that of the settings."""
-    from revisit.service.settings_here import settings_here
+    from revisit.service.settings_loading import load_settings
 
-    return settings_here(home).home
+    return load_settings(home).home
 
 
 @contextmanager
@@ -26,11 +26,11 @@ def use_cases_on(home: Path | None) -> Iterator[UseCases]:
     """The use cases on the database, which is made where it is missing. Raises typer.Exit where it does not fit."""
     from revisit.service.composition import offline_use_cases
     from revisit.service.engines.local.sqlite.migration import ForeignSchema, migrate
-    from revisit.service.settings_here import settings_here
+    from revisit.service.settings_loading import load_settings
 
     # Files are for this user only.
     os.umask(0o077)
-    settings = settings_here(home)
+    settings = load_settings(home)
     try:
         migrate(settings.database)
     except ForeignSchema as error:

@@ -11,14 +11,14 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from revisit.cli.signs_of_life import SignsOfLife
+from revisit.cli.heartbeat import Heartbeat
 
 if TYPE_CHECKING:
     from rich.progress import Progress, TaskID
 
 PIPE_WIDTH = 400
 
-signs = SignsOfLife("at work", lambda doing: typer.echo(f"revisit: {doing} ...", err=True))
+signs = Heartbeat("at work", lambda doing: typer.echo(f"revisit: {doing} ...", err=True))
 """What this process is doing; `revisit.cli.app.run` begins to watch."""
 
 

@@ -17,7 +17,7 @@ class ProgressLines(Progress):
     def __init__(self, tell: Callable[[str], None]) -> None:
         super().__init__(disable=True)
         self._tell = tell
-        self._told: dict[TaskID, str] = {}
+        self._printed: dict[TaskID, str] = {}
         self._ended = threading.Event()
 
     def start(self) -> None:
@@ -42,8 +42,8 @@ class ProgressLines(Progress):
     def _tell_changes(self) -> None:
         for task in self.tasks:
             line = _line(task)
-            if self._told.get(task.id) != line:
-                self._told[task.id] = line
+            if self._printed.get(task.id) != line:
+                self._printed[task.id] = line
                 self._tell(line)
 
 

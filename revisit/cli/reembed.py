@@ -31,12 +31,12 @@ def reembed(
     Each map changes in one step at its end; an interrupted run goes on where it ended. Loop closures stay as they are.
     """
     from revisit.service.composition import offline_reembedding
-    from revisit.service.settings_here import settings_here
+    from revisit.service.settings_loading import load_settings
 
     with use_cases_on(home):
         pass  # the database is there and of this version
     done = []
-    with offline_reembedding(settings_here(home)) as work, progress_bar(quiet=json) as bar:
+    with offline_reembedding(load_settings(home)) as work, progress_bar(quiet=json) as bar:
         report = reporter(bar)
         for record in work.named_maps(maps) if maps else work.stale_maps():
             done.append(work.reembed(record, partial(report, f"map {record.map_id}")))

@@ -89,8 +89,8 @@ def _cloud(points: NDArray[np.floating], stamp_ns: int, frame: str) -> dict[str,
     fields = [{"name": name, "offset": 4 * number, "type": _FLOAT32} for number, name in enumerate("xyz")]
     data = base64.b64encode(np.ascontiguousarray(points - origin, dtype="<f4").tobytes()).decode()
     pose = _pose(se3.from_yaw(0.0, origin))
-    told = {"timestamp": _time(stamp_ns), "frame_id": frame, "pose": pose, "point_stride": 12}
-    return {**told, "fields": fields, "data": data}
+    head = {"timestamp": _time(stamp_ns), "frame_id": frame, "pose": pose, "point_stride": 12}
+    return {**head, "fields": fields, "data": data}
 
 
 def _scene(sessions: Mapping[str, DrivenPoses], stamp_ns: int, frame: str) -> dict[str, Any]:

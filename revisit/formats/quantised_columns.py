@@ -54,7 +54,7 @@ def intensities(planes: Bytes, count: int, step: float) -> NDArray[np.float32]:
     return found
 
 
-def rehearse() -> None:
+def warm_up() -> None:
     """Sum up a point, for the compiler's sake alone."""
     planes = np.frombuffer(bytes(14), dtype=np.uint8)
     coordinates_on_rays(planes, 1, 1.0, Prediction.DIFFERENCE, Prediction.DIFFERENCE)

@@ -39,7 +39,7 @@ class InputWatch:
         self._count = 0
         self._poses: deque[tuple[Any, int]] = deque(maxlen=KEPT_POSES)
         self._scans: deque[Scan] = deque(maxlen=KEPT_CLOUDS)
-        self._told: set[str] = set()
+        self._warned: set[str] = set()
 
     def look(self, points: PointsLike, T_odom_sensor: Any, stamp_ns: int) -> None:
         """Take notice of a scan. Raises nothing: what cannot be used is for the service to refuse, and is told of."""
@@ -57,8 +57,8 @@ class InputWatch:
         try:
             self._scans.append(Scan.validated(points, T_odom_sensor, stamp_ns))
         except RevisitError as error:
-            if error.code not in self._told:
-                self._told.add(error.code)
+            if error.code not in self._warned:
+                self._warned.add(error.code)
                 words = f"{error.code}: the service refuses scan {self._count}: {error.message}"
                 warnings.warn(words, SuspiciousInput, stacklevel=4)
 
@@ -73,8 +73,8 @@ class InputWatch:
 
     def _tell(self, findings: list[Finding]) -> None:
         for finding in findings:
-            if finding.code not in self._told:
-                self._told.add(finding.code)
+            if finding.code not in self._warned:
+                self._warned.add(finding.code)
                 warn(finding.code, finding.measured, finding.cause, finding.advice)
 
 
@@ -86,5 +86,5 @@ def warn_of_session(findings: tuple[SessionFinding, ...]) -> None:
 
 def warn(code: str, measured: str, cause: str, advice: str) -> None:
     """One warning: what was measured, its likely cause, what to do."""
-    told = f"{code}: {measured}. Likely cause: {cause}. {advice[:1].upper()}{advice[1:]}."
-    warnings.warn(told, SuspiciousInput, stacklevel=4)
+    text = f"{code}: {measured}. Likely cause: {cause}. {advice[:1].upper()}{advice[1:]}."
+    warnings.warn(text, SuspiciousInput, stacklevel=4)

@@ -23,7 +23,7 @@ from revisit.service.ports.map_merger import (
     SurfaceAudit,
     SurfaceEvidence,
 )
-from revisit.service.ports.map_optimiser import MapGraph, Told, TrackLoop
+from revisit.service.ports.map_optimiser import MapGraph, Progress, TrackLoop
 
 if TYPE_CHECKING:
     from revisit.core.implicit_map import DecoderWeights
@@ -55,14 +55,14 @@ class CoreMapMerger:
         return [(one, other, cosine) for (one, other), cosine in rows]
 
     def align(
-        self, graph: MapGraph, second: frozenset[int], spare: Sequence[TrackLoop], scale: float, told: Told
+        self, graph: MapGraph, second: frozenset[int], spare: Sequence[TrackLoop], scale: float, progress: Progress
     ) -> AlignedMaps:
         """See `MapMerger`."""
         from revisit.core.merge.joining import JoiningLoops
         from revisit.core.pose_graph import optimise
 
         named = NamedGraph.of(graph)
-        optimised = optimise(named.posed, told=partial(told, "ALIGN"))
+        optimised = optimise(named.posed, progress=partial(progress, "ALIGN"))
         sessions = frozenset(named.names[number] for number in second)
         found = JoiningLoops.of(named.posed, optimised, sessions, scale, named.edges(spare))
         return AlignedMaps(named.answer(optimised), found.loops, found.common_track_m, found.rival_loops)
@@ -73,7 +73,7 @@ class CoreMapMerger:
         second: Sequence[PlacedSubmapMap],
         read: Callable[[str], bytes],
         scale: float,
-        told: Told,
+        progress: Progress,
     ) -> SurfaceEvidence:
         """See `MapMerger`."""
         from revisit.core.merge import compare_pairs, pairs_in_reach
@@ -86,7 +86,7 @@ class CoreMapMerger:
         load = _loader(read)
         placed = []
         for done, (one, other) in enumerate(pairs):
-            told("COMPARE_SURFACES", done, len(pairs))
+            progress("COMPARE_SURFACES", done, len(pairs))
             ends = first[one], second[other]
             placed.append((load(ends[0].sha256, ends[0].T_map_submap), load(ends[1].sha256, ends[1].T_map_submap)))
         changes = changes_between(placed)
@@ -102,7 +102,7 @@ class CoreMapMerger:
         read: Callable[[int], bytes],
         scale: float,
         most: int,
-        told: Told,
+        progress: Progress,
     ) -> SurfaceAudit | None:
         """See `MapMerger`."""
         from revisit.core.merge import MergeLimits, compare_pairs, pairs_in_reach, surfaces_refusal
@@ -113,7 +113,7 @@ class CoreMapMerger:
         load = _loader(read)
         placed = []
         for done, (one, other) in enumerate(rows):
-            told("COMPARE_SURFACES", done, len(rows))
+            progress("COMPARE_SURFACES", done, len(rows))
             with suppress(DataLoss):
                 ends = (load(numbers[0][one], poses[0][one]), load(numbers[1][other], poses[1][other]))
                 placed.append(ends)

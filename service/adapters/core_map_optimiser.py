@@ -18,10 +18,10 @@ from revisit.service.ports.map_optimiser import (
     MapGraph,
     OptimisedMap,
     OptimisedTrack,
+    Progress,
     SessionTrack,
     SolvedMap,
     SolvedTrack,
-    Told,
     TrackFault,
     TrackLoop,
 )
@@ -35,12 +35,12 @@ Array64 = NDArray[np.float64]
 class CoreMapOptimiser:
     """`MapOptimiser` by `core.pose_graph`."""
 
-    def optimise(self, graph: MapGraph, told: Told) -> OptimisedMap:
+    def optimise(self, graph: MapGraph, progress: Progress) -> OptimisedMap:
         """See `MapOptimiser`."""
         from revisit.core.pose_graph import optimise
 
         named = NamedGraph.of(graph)
-        return named.answer(optimise(named.posed, told=partial(told, "OPTIMISE")))
+        return named.answer(optimise(named.posed, progress=partial(progress, "OPTIMISE")))
 
     def solved(self, graph: MapGraph, tracks: Sequence[SolvedTrack]) -> SolvedMap:
         """See `MapOptimiser`."""

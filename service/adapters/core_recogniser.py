@@ -25,7 +25,7 @@ from revisit.core.scan_disagreement import ScanDisagreement
 from revisit.core.stages import stage_times
 from revisit.core.submap import Submap
 from revisit.core.surface import extract_surface
-from revisit.service.adapters.rehearsal import accompany, rehearse
+from revisit.service.adapters.warmup import accompany, warm_up
 from revisit.service.large_blocks import return_free_memory
 from revisit.service.ports.recogniser import Redescription, SubmapDescription
 
@@ -105,7 +105,7 @@ class CoreRecogniser:
         places = self._place(query), self._place(match)
         return verify(*places, similarity, config.verification, near, near_decides=near_decides, expected=expected)
 
-    def let_go(self) -> None:
+    def release(self) -> None:
         """See `PlaceRecogniser`. Places stay as they were read: reading takes longer than deriving."""
         self._place.cache_clear()
         return_free_memory()  # a caller that needs room gets idle memory, too
@@ -118,7 +118,7 @@ class CoreRecogniser:
 def load_recogniser() -> CoreRecogniser:
     """The recogniser of the workers, with all its kernels compiled."""
     recogniser = CoreRecogniser(load_packaged_models())
-    rehearse(recogniser)
+    warm_up(recogniser)
     pack_intermediate_code()
     return recogniser
 

@@ -78,8 +78,8 @@ def on_loop_change(log: EventLog) -> ChangeOf[LoopRecord]:
         if before is None:
             news = after.state != LoopState.REJECTED or after.reason == AMBIGUOUS
         else:
-            told = ("state", "reason", "T_match_query")
-            news = any(getattr(before, name) != getattr(after, name) for name in told)
+            shown = ("state", "reason", "T_match_query")
+            news = any(getattr(before, name) != getattr(after, name) for name in shown)
             news |= before.graph_state != after.graph_state and GraphState.SET_ASIDE in (
                 before.graph_state,
                 after.graph_state,

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from revisit.core.geometry.se3 import Matrix4
 from revisit.service.domain.states import ChangeKind
-from revisit.service.ports.map_optimiser import MapGraph, OptimisedMap, Told, TrackLoop
+from revisit.service.ports.map_optimiser import MapGraph, OptimisedMap, Progress, TrackLoop
 
 
 @dataclass(frozen=True)
@@ -97,7 +97,7 @@ class MapMerger(Protocol):
         ...
 
     def align(
-        self, graph: MapGraph, second: frozenset[int], spare: Sequence[TrackLoop], scale: float, told: Told
+        self, graph: MapGraph, second: frozenset[int], spare: Sequence[TrackLoop], scale: float, progress: Progress
     ) -> AlignedMaps:
         """Optimise both maps together; `second` numbers the sessions of the one that joins.
 
@@ -111,7 +111,7 @@ class MapMerger(Protocol):
         second: Sequence[PlacedSubmapMap],
         read: Callable[[str], bytes],
         scale: float,
-        told: Told,
+        progress: Progress,
     ) -> SurfaceEvidence:
         """Points of each against the field and the free space of the other. `read` gets a neural map by its hash."""
         ...
@@ -123,7 +123,7 @@ class MapMerger(Protocol):
         read: Callable[[int], bytes],
         scale: float,
         most: int,
-        told: Told,
+        progress: Progress,
     ) -> SurfaceAudit | None:
         """The surfaces alone, by at most `most` pairs of submaps spread over the whole overlap; changes are not sought.
 

@@ -14,7 +14,7 @@ from revisit.service.domain.states import GraphState
 
 Array64 = NDArray[np.float64]
 
-Told = Callable[[str, int, int], None]
+Progress = Callable[[str, int, int], None]
 """Called with a stage, and how much of how much of it is done. May raise, which ends the work."""
 
 
@@ -180,7 +180,7 @@ class SolvedMap(Protocol):
 class MapOptimiser(Protocol):
     """Places the sessions of a map to each other."""
 
-    def optimise(self, graph: MapGraph, told: Told) -> OptimisedMap:
+    def optimise(self, graph: MapGraph, progress: Progress) -> OptimisedMap:
         """The same graph gives the same answer, bit for bit. Tracks and loops answer in their order."""
         ...
 

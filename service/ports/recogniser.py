@@ -43,7 +43,7 @@ class Redescription:
 class PlaceKeeper(Protocol):
     """A cache of decoded places, as long as there is room."""
 
-    def let_go(self) -> None:
+    def release(self) -> None:
         """Empty the cache of decoded places: a job that needs much memory follows."""
         ...
 

@@ -96,7 +96,7 @@ class Heartbeat:
         self._began_s, self._began_cpu_s = time.monotonic(), time.process_time()
         self._lease = lease
 
-    def let_go(self) -> None:
+    def release(self) -> None:
         """Keep no lease any more."""
         self._lease = None
 

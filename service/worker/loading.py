@@ -14,7 +14,7 @@ HINT = "the first worker here compiles its kernels: half a minute on a free core
 
 
 @contextmanager
-def told_while_loading(
+def logged_while_loading(
     tell: Callable[..., Any], *, first_s: float = FIRST_S, every_s: float = EVERY_S
 ) -> Iterator[None]:
     """Call `tell` with `worker_still_loading` after `first_s` and then every `every_s`, until the loading ends."""

@@ -97,7 +97,7 @@ class Worker:
                 # The lease runs out and the job is claimed again; its attempt is counted.
                 log.warning("job_end_not_stored", reason=error.message)
             finally:
-                self._heartbeat.let_go()
+                self._heartbeat.release()
                 self._memory.after_job()
             log.info("job_ended", kind=lease.job.kind, subject=lease.job.subject)
 

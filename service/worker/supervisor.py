@@ -13,11 +13,11 @@ from functools import partial
 
 import structlog
 
-from revisit.service import ONE_THREAD, own_python
+from revisit.service import ONE_THREAD, python_subprocess
 from revisit.service.domain.errors import Unavailable
 from revisit.service.ports.storage import Storage
 from revisit.service.ports.transactions import UnitOfWork
-from revisit.service.worker.ends import WorkerEnd, end_of, is_innocent, out_of_memory_kills, reason_of
+from revisit.service.worker.exit_status import WorkerEnd, end_of, is_innocent, out_of_memory_kills, reason_of
 
 RESPAWN_S = (0.1, 2.0)
 STEADY_S = 30.0
@@ -93,7 +93,9 @@ class WorkerSupervisor:
     async def _run_once(self) -> WorkerEnd:
         """Run one worker process to its end, and release its leases; how it ended."""
         worker_id, killed_before = f"worker-{secrets.token_hex(4)}", out_of_memory_kills()
-        command = own_python.command("-m", "revisit.service", "worker", "--id", worker_id, "--parent", str(os.getpid()))
+        command = python_subprocess.command(
+            "-m", "revisit.service", "worker", "--id", worker_id, "--parent", str(os.getpid())
+        )
         process = await asyncio.create_subprocess_exec(*command, env=_environment(), stdin=asyncio.subprocess.DEVNULL)
         self._processes.add(process)
         log.info("worker_started", worker=worker_id, pid=process.pid)
@@ -159,4 +161,4 @@ def _release(uow: UnitOfWork, worker_id: str, reason: str, *, innocent: bool) ->
 
 
 def _environment() -> dict[str, str]:
-    return {**own_python.environment(), **ONE_THREAD, "MALLOC_ARENA_MAX": "2"}
+    return {**python_subprocess.environment(), **ONE_THREAD, "MALLOC_ARENA_MAX": "2"}

@@ -37,7 +37,7 @@ ALLOWED = {
     # Tells the kernel something; no file.
     "service/worker/confinement.py": {"Path('/proc/self/oom_score_adj').write_text"},
     # Opens a folder to lock it: `open` takes files alone.
-    "service/adapters/rehearsal.py": {"os.open"},
+    "service/adapters/warmup.py": {"os.open"},
 }
 
 

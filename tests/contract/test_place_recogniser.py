@@ -115,7 +115,7 @@ def test_a_place_matches_itself_and_the_evidence_is_json(recogniser, described):
 def test_what_was_let_go_of_is_made_again_with_the_same_verdict(recogniser, described):
     other = recogniser.describe(seen_from(np.eye(4), 1), CONFIG).place
     before = recogniser.verify(described.place, other, 0.9, CONFIG)
-    recogniser.let_go()
+    recogniser.release()
     after = recogniser.verify(described.place, other, 0.9, CONFIG)
     assert type(after) is type(before)
     told = [verdict_evidence(one, CONFIG.verification) for one in (before, after)]

@@ -12,13 +12,13 @@ def cancelling(world, operation_id, seen):
     """A merger that finds its operation cancelled, by somebody else, while it compares surfaces."""
 
     class Merger(FakeMerger):
-        def compare(self, first, second, read, scale, told):
+        def compare(self, first, second, read, scale, progress):
             job = world.context.transactions.read(lambda uow: uow.jobs.get(TENANT, operation_id)).result()
             seen.append(job.progress["stage"])
             world.context.transactions.write(
                 lambda uow: world.use_cases.operations._cancel(uow, TENANT, operation_id)
             ).result()
-            return super().compare(first, second, read, scale, told)
+            return super().compare(first, second, read, scale, progress)
 
     return Merger()
 

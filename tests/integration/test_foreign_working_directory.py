@@ -8,7 +8,7 @@ import sys
 
 import pytest
 
-from revisit.service import own_python
+from revisit.service import python_subprocess
 from tests.support.processes import ROOT, ServiceProcess
 
 FOREIGN = ("revisit", "numpy", "numba", "json")
@@ -47,6 +47,6 @@ def test_an_empty_place_in_the_search_path_is_not_the_working_directory(path, fo
     # PYTHONPATH=$PYTHONPATH:/opt/ros leaves one where the variable was empty.
     monkeypatch.setenv("PYTHONPATH", path)
     code = "import json, numpy, revisit; print(revisit.__file__)"
-    command, environment = own_python.command("-c", code), own_python.environment()
+    command, environment = python_subprocess.command("-c", code), python_subprocess.environment()
     done = subprocess.run(command, cwd=foreign, env=environment, capture_output=True, text=True, check=False)
     assert (done.stdout.strip(), done.stderr) == (str(ROOT / "revisit/__init__.py"), "")

@@ -57,7 +57,7 @@ class Held:
         self._entered.set()
         assert self._leave.wait(PATIENCE_S)
 
-    def let_go(self) -> None:
+    def release(self) -> None:
         self._leave.set()
         self.future.result(PATIENCE_S)
 
@@ -65,7 +65,7 @@ class Held:
 def test_what_waits_is_committed_together_in_the_order_in_which_it_came(store, commits):
     held = Held(store)
     waiting = [store.write(add(f"m{number:02}")) for number in range(20)]
-    held.let_go()
+    held.release()
     numbers = [future.result(PATIENCE_S).number for future in waiting]
     assert numbers == sorted(numbers)
     assert len(commits) <= 1 + 4  # 20 rows take well below 20 ms of work
@@ -80,7 +80,7 @@ def test_one_that_fails_undoes_its_own_changes_only(store):
         raise RuntimeError("half way")
 
     first, bad, twice, last = (store.write(work) for work in (add("a"), half_way, add("a"), add("b")))
-    held.let_go()
+    held.release()
     assert first.result(PATIENCE_S).map_id == "a" and last.result(PATIENCE_S).map_id == "b"
     with pytest.raises(RuntimeError, match="half way"):
         bad.result(PATIENCE_S)
@@ -98,7 +98,7 @@ def test_nobody_is_answered_before_the_commit_and_all_are_told_when_it_fails(sto
         raise OperationalError("INSERT", {}, error)
 
     before, conflicting, broken = store.write(add("a")), store.write(add("a")), store.write(breaks)
-    held.let_go()
+    held.release()
     for future in (before, conflicting, broken):
         with pytest.raises(StorageFull):
             future.result(PATIENCE_S)
@@ -109,7 +109,7 @@ def test_nobody_is_answered_before_the_commit_and_all_are_told_when_it_fails(sto
 def test_a_write_that_wants_to_be_alone_shares_its_transaction_with_nobody(store, commits):
     held = Held(store)
     futures = [store.write(add("a")), store.write(add("b"), alone=True), store.write(add("c"))]
-    held.let_go()
+    held.release()
     for future in futures:
         future.result(PATIENCE_S)
     assert len(commits) == 4

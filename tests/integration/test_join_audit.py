@@ -26,7 +26,7 @@ class Walled(FakeMerger):
         self.alone = alone
         self.asked: list[tuple[set[int], set[int], int]] = []
 
-    def audit(self, first, second, read, scale, most, told) -> SurfaceAudit:
+    def audit(self, first, second, read, scale, most, progress) -> SurfaceAudit:
         """Nothing is read."""
         sides = set(first), set(second)
         self.asked.append((*sides, most))

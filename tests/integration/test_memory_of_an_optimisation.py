@@ -31,10 +31,10 @@ class Counting(CoreMapOptimiser):
 class Keeping(FakeRecogniser):
     """Counts how often it is asked to let go."""
 
-    let_go_of = 0
+    released = 0
 
-    def let_go(self):
-        self.let_go_of += 1
+    def release(self):
+        self.released += 1
 
 
 @pytest.fixture
@@ -65,7 +65,7 @@ async def test_room_is_made_before_a_large_map_is_optimised(world, monkeypatch, 
     recogniser = Keeping()
     await world.use_cases.map_versions.optimise(TENANT, "town")
     assert world.work_off(recogniser) == 1
-    assert recogniser.let_go_of == times
+    assert recogniser.released == times
 
 
 async def test_a_map_that_was_let_go_of_is_solved_again_and_another_one_is_not(world):
@@ -80,10 +80,10 @@ async def test_a_map_that_was_let_go_of_is_solved_again_and_another_one_is_not(w
     optimiser = Counting()
     early = EarlyCorrections(world.context.transactions, world.clock, Policy(optimise_after_loops=1), optimiser)
     counts = []
-    for loop, let_go in zip(removed, ("village", "town", "town"), strict=True):
+    for loop, released in zip(removed, ("village", "town", "town"), strict=True):
         record = loop_record(loop, submaps)
         write(lambda uow, record=record: add_loop(uow, record, Change(LoopEventKind.VERIFIED, 1))).result()
         early.update(TENANT, "town")
-        early.release(TENANT, let_go)
+        early.release(TENANT, released)
         counts.append(optimiser.solutions)
     assert counts == [1, 1, 2]

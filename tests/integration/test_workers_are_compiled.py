@@ -55,7 +55,7 @@ print(json.dumps({"verdict": verdict, "ready": len(ready), "later": sorted(loade
 @pytest.mark.parametrize("beside", [False, True])
 def test_no_job_asks_for_a_kernel_that_its_worker_has_not_loaded(beside):
     folder = os.open(Path(kernels.__file__).parent, os.O_RDONLY)
-    if beside:  # as if another worker rehearsed just now
+    if beside:  # as if another worker warmed up just now
         fcntl.flock(folder, fcntl.LOCK_SH)
     command = [sys.executable, "-c", LIFE]
     ran = subprocess.run(command, capture_output=True, text=True, check=True, timeout=10 * PATIENCE_S, cwd=Path.cwd())

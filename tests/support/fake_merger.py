@@ -12,14 +12,14 @@ CAR = MapChange(ChangeKind.VANISHED, (12.0, 3.0, 0.8), (4.2, 1.8, 1.5), 120)
 class FakeMerger(CoreMapMerger):
     """`MapMerger` that finds every overlap right; a car is gone."""
 
-    def compare(self, first, second, read, scale, told) -> SurfaceEvidence:
+    def compare(self, first, second, read, scale, progress) -> SurfaceEvidence:
         """Nothing is read."""
-        told("COMPARE_SURFACES", 0, 1)
+        progress("COMPARE_SURFACES", 0, 1)
         return SurfaceEvidence(5_000, 0.8, 0.02, 0.01, 0.001, (CAR,))
 
-    def audit(self, first, second, read, scale, most, told) -> SurfaceAudit:
+    def audit(self, first, second, read, scale, most, progress) -> SurfaceAudit:
         """Nothing is read."""
-        return SurfaceAudit(self.compare((), (), read, scale, told), None)
+        return SurfaceAudit(self.compare((), (), read, scale, progress), None)
 
 
 class EasyMerger(FakeMerger):

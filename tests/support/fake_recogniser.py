@@ -104,7 +104,7 @@ class FakeRecogniser:
         neural_map = b"neural " + descriptor.tobytes()
         return SubmapDescription(descriptor, descriptor.tobytes(), neural_map, (), {"all": 0.0})
 
-    def let_go(self) -> None:
+    def release(self) -> None:
         """See `PlaceRecogniser`; it keeps nothing."""
 
     def describe_again(self, neural_map: bytes, place: bytes | None, config: PipelineConfig) -> Redescription:

@@ -29,17 +29,17 @@ def running_service(home: Path, settings: Mapping[str, str] | None = None) -> It
     `settings` are further variables of its environment. Raises RuntimeError with the end of its log where it does not
     start.
     """
-    from revisit.service import own_python
+    from revisit.service import python_subprocess
 
     environment = {
-        **own_python.environment(),
+        **python_subprocess.environment(),
         "REVISIT_HOME": str(home / "data"), "REVISIT_HTTP_PORT": "0", "REVISIT_GRPC_PORT": "0",
         "REVISIT_HOST": "127.0.0.1", "REVISIT_WORKERS": str(os.cpu_count() or 1), "REVISIT_LOG_LEVEL": "INFO",
         **(settings or {}),
     }  # fmt: skip
     log = home / "service.log"
     with log.open("wb") as stream:
-        command = own_python.command("-m", "revisit.service", "serve")
+        command = python_subprocess.command("-m", "revisit.service", "serve")
         process = subprocess.Popen(command, env=environment, stdout=stream, stderr=subprocess.STDOUT)
     try:
         yield _when_listening(process, log)

@@ -118,8 +118,8 @@ def _measurement(data: bytes) -> dict[str, Any]:
 
 def _packed_rules(evidence: dict[str, Any]) -> bytes:
     """Raises ValueError where a threshold has more digits."""
-    told, version = evidence["thresholds"], bytes.fromhex(evidence["thresholds_version"])
-    steps = [round(told[name] / _STEP) for name in _THRESHOLDS if name in told]
+    thresholds, version = evidence["thresholds"], bytes.fromhex(evidence["thresholds_version"])
+    steps = [round(thresholds[name] / _STEP) for name in _THRESHOLDS if name in thresholds]
     data: bytes = _CHOSEN.pack(*steps, version) + evidence["model_version"].encode()
     if len(version) != _VERSION_BYTES or _rules(data) != {name: evidence[name] for name in _RULES}:
         raise ValueError("other thresholds")

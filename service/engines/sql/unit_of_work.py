@@ -56,13 +56,13 @@ class Stored(Generic[Kind]):
     """An attribute of a unit of work: the repository of a table, made when it is first asked for."""
 
     def __init__(
-        self, kind: Callable[..., Kind], table: Table, record: type, told: Callable[[EventLog], Any] | None = None
+        self, kind: Callable[..., Kind], table: Table, record: type, listener: Callable[[EventLog], Any] | None = None
     ) -> None:
         """`told` gives the listener that notes each add and replace as an event."""
         self._kind = kind
         self._table = table
         self._record = record
-        self._told = told
+        self._listener = listener
 
     def __set_name__(self, owner: type, name: str) -> None:
         """The attribute's name."""
@@ -70,17 +70,17 @@ class Stored(Generic[Kind]):
 
     def __get__(self, work: SqlUnitOfWork, owner: type) -> Kind:
         """The repository; from now on it is found in the unit of work itself."""
-        on_change = None if self._told is None else self._told(work.events)
+        on_change = None if self._listener is None else self._listener(work.events)
         made = self._kind(work.connection, work.engine, self._table, self._record, on_change, sees_all=work.sees_all)
         vars(work)[self._name] = made
         return made
 
 
 def stored(
-    table: Table, record: type[R], told: Callable[[EventLog], ChangeOf[R]] | None = None
+    table: Table, record: type[R], listener: Callable[[EventLog], ChangeOf[R]] | None = None
 ) -> Stored[SqlRepository[R]]:
     """A table that no use case asks more of than `Repository` can do."""
-    return Stored(SqlRepository, table, record, told)
+    return Stored(SqlRepository, table, record, listener)
 
 
 @dataclass(frozen=True)

@@ -98,8 +98,8 @@ def _newer(
         return after, []
     rows = uow.session_poses.find(tenant, map_id=map_id, version=version, **of_session)
     views = [_view(row, ahead.get(row.session_id)) for row in sorted(rows, key=lambda row: row.session_number)]
-    told = [view for view in views if version > after or view.early_loops != early.get(view.session.session_id, 0)]
-    return max(version, after), told
+    changed = [view for view in views if version > after or view.early_loops != early.get(view.session.session_id, 0)]
+    return max(version, after), changed
 
 
 def _view(row: SessionPosesRecord, ahead: EarlyCorrectionRecord | None) -> CorrectionView:

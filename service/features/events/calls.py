@@ -47,7 +47,7 @@ class EventView:
 
 
 @dataclass(frozen=True)
-class Told:
+class EventPage:
     """Events of a batch, and the number of the last row that was looked at for them."""
 
     events: list[EventView]
@@ -84,9 +84,9 @@ class Events:
             if last > seen:
                 # A watch with much to catch up on does not keep every reader of the database.
                 async with self.turns.of(tenant):
-                    told = await self.storage.read(partial(_told, tenant=tenant, map_id=map_id, seen=seen, last=last))
-                seen = told.seen
-                for event in told.events:
+                    page = await self.storage.read(partial(_page, tenant=tenant, map_id=map_id, seen=seen, last=last))
+                seen = page.seen
+                for event in page.events:
                     if not kinds or event.kind in kinds | {EventKind.FORGOTTEN}:
                         silent_s = 0.0
                         yield event
@@ -105,10 +105,10 @@ def _last(uow: UnitOfWork, tenant: TenantId, map_id: str) -> int:
     return uow.events.last_number()
 
 
-def _told(uow: UnitOfWork, tenant: TenantId, map_id: str, seen: int, last: int) -> Told:
+def _page(uow: UnitOfWork, tenant: TenantId, map_id: str, seen: int, last: int) -> EventPage:
     require_map(uow, tenant, map_id)
     rows = uow.events.following(tenant, seen, BATCH, map_id)
-    return Told(events_of(uow, rows), last if len(rows) < BATCH else rows[-1].number)
+    return EventPage(events_of(uow, rows), last if len(rows) < BATCH else rows[-1].number)
 
 
 def events_of(uow: UnitOfWork, rows: Iterable[EventRecord]) -> list[EventView]:

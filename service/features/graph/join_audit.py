@@ -16,7 +16,7 @@ from revisit.service.features.graph.session_poses import PackedSubmaps
 from revisit.service.ports.blobs import NEURAL_MAP_BLOB
 from revisit.service.ports.job_context import JobContext
 from revisit.service.ports.map_merger import MapMerger, SurfaceAudit
-from revisit.service.ports.map_optimiser import MapOptimiser, OptimisedMap, RefusedJoin, Told
+from revisit.service.ports.map_optimiser import MapOptimiser, OptimisedMap, Progress, RefusedJoin
 
 VERSION_PAIRS = 100
 """Pairs of submaps, about, whose surfaces are compared for a version: 0.03 to 0.17 s of a core each."""
@@ -57,34 +57,34 @@ class JoinAudit:
         self._optimiser = optimiser
         self._merger = merger
 
-    def solved(self, task: MapTask, told: Told) -> OptimisedMap:
+    def solved(self, task: MapTask, progress: Progress) -> OptimisedMap:
         """The solution of a map without the loops of joins that surfaces speak against. Blocks.
 
         The graph is solved again after each refusal, which takes one loop of it at least. Raises what `told` raises.
         """
-        asked = _Audit(self._context, self._merger, task, told)
+        asked = _Audit(self._context, self._merger, task, progress)
         refused: tuple[RefusedJoin, ...] = ()
         while True:
             graph = replace(task.graph, refused=dict(loops_between(task, refused)))
-            optimised = self._optimiser.optimise(graph, told)
+            optimised = self._optimiser.optimise(graph, progress)
             more = asked.refused(optimised)
             if not more:
                 return replace(optimised, refused_joins=refused, audited=_audited(task))
             refused += more
 
-    def refused(self, task: MapTask, told: Told) -> tuple[RefusedJoin, ...]:
+    def refused(self, task: MapTask, progress: Progress) -> tuple[RefusedJoin, ...]:
         """The joins that its solution is without; a map is not solved where the version in force has said it."""
-        return self.solved(task, told).refused_joins if _has_unsettled(task) else ()
+        return self.solved(task, progress).refused_joins if _has_unsettled(task) else ()
 
 
 class _Audit:
     """The audit of one map for one version; a join that it allowed it does not ask about again."""
 
-    def __init__(self, context: JobContext, merger: MapMerger, task: MapTask, told: Told) -> None:
+    def __init__(self, context: JobContext, merger: MapMerger, task: MapTask, progress: Progress) -> None:
         self._context = context
         self._merger = merger
         self._task = task
-        self._told = told
+        self._progress = progress
         self._allowed: set[frozenset[Sessions]] = set()
 
     def refused(self, optimised: OptimisedMap) -> tuple[RefusedJoin, ...]:
@@ -120,7 +120,7 @@ class _Audit:
         record = self._task.map
         read = partial(self._read, TenantId(record.tenant))
         scale = self._context.policy.for_map(record).scene_scale
-        return self._merger.audit(first, second, read, scale, most, self._told)
+        return self._merger.audit(first, second, read, scale, most, self._progress)
 
     def _read(self, tenant: TenantId, number: int) -> bytes:
         """The neural map of a submap. Raises DataLoss where it has none, or is gone."""

@@ -42,8 +42,8 @@ class KnownKeys:
             self._known.clear()
         if asked in self._known:
             return self._known[asked]
-        told = await self._storage.read(lambda uow: ask(uow.keys))
+        answer = await self._storage.read(lambda uow: ask(uow.keys))
         # Read after `version` was asked for: it holds as long as that is still the number.
-        if version is not None and version == self._version and told is not None:
-            self._known[asked] = told
-        return told
+        if version is not None and version == self._version and answer is not None:
+            self._known[asked] = answer
+        return answer

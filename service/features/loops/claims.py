@@ -82,8 +82,8 @@ def drive_before(uow: UnitOfWork, submap: SubmapRecord, config: PipelineConfig) 
         submap.tenant, submap.map_id, submap.session_id, submap.ordinal, submaps_asked(config), back=True
     )
     queries = uow.submaps.numbered(submap.tenant, [one.number for one in path])
-    told = uow.loops.telling(submap.tenant, sorted(queries), [reason.value for reason in TELLING])
-    loops = [loop for loop in told if _says(loop)]
+    stored = uow.loops.telling(submap.tenant, sorted(queries), [reason.value for reason in TELLING])
+    loops = [loop for loop in stored if _says(loop)]
     matches = uow.submaps.numbered(submap.tenant, sorted({loop.match_number for loop in loops})[-_MOST_MATCHES:])
     loops = [loop for loop in loops if loop.match_number in matches]
     pairs = [(queries[loop.query_number], matches[loop.match_number]) for loop in loops]
@@ -104,7 +104,7 @@ def _says(loop: LoopRecord) -> bool:
 def claim_of_row(loop: LoopRecord, query: SubmapRecord, match: SubmapRecord) -> LoopClaim:
     """A stored loop with a pose as a claim. A loop that a person accepted is not doubted any more."""
     support = _support_from(loop.evidence.get("support"))
-    doubts = {Doubt(name): _grounds_from(told) for name, told in loop.evidence.get("doubts", {}).items()}
+    doubts = {Doubt(name): _grounds_from(stored) for name, stored in loop.evidence.get("doubts", {}).items()}
     accepted = loop.state == LoopState.ACCEPTED
     if accepted and support is None:
         doubts = {}
@@ -148,8 +148,8 @@ def verdict_evidence(verdict: PairVerdict, rules: VerificationConfig) -> Evidenc
     """The evidence of a pair by itself: its measurement, and the rules that judged it."""
     measured = {} if verdict.measurement is None else _as_json(verdict.measurement)
     message = verdict.message if isinstance(verdict, RejectedLoop) else None
-    told: Evidence = {} if message is None else {"message": message}
-    return {"measurement": measured, **told, **_thresholds(rules)}
+    evidence: Evidence = {} if message is None else {"message": message}
+    return {"measurement": measured, **evidence, **_thresholds(rules)}
 
 
 def rules_of(evidence: Evidence) -> Evidence:
@@ -158,14 +158,14 @@ def rules_of(evidence: Evidence) -> Evidence:
 
 
 def _judgement(claim: LoopClaim) -> Evidence:
-    told: Evidence = {}
+    evidence: Evidence = {}
     if claim.doubts:
-        told["doubts"] = {doubt.value: {"words": of.words, **of.figures} for doubt, of in claim.doubts.items()}
+        evidence["doubts"] = {doubt.value: {"words": of.words, **of.figures} for doubt, of in claim.doubts.items()}
     if claim.support is not None:
-        told["support"] = _support_json(claim.support)
+        evidence["support"] = _support_json(claim.support)
     if claim.distinctiveness is not None:
-        told["distinctiveness"] = dataclasses.asdict(claim.distinctiveness)
-    return told
+        evidence["distinctiveness"] = dataclasses.asdict(claim.distinctiveness)
+    return evidence
 
 
 def _support_json(support: Support) -> Evidence:
@@ -178,46 +178,46 @@ def _support_json(support: Support) -> Evidence:
     }
 
 
-def _support_from(told: Evidence | None) -> Support | None:
-    if told is None:
+def _support_from(stored: Evidence | None) -> Support | None:
+    if stored is None:
         return None
-    return Support(told["anchors"], told["agreeing"], told["along_m"], tuple(_poses(told["ruled_out"])))
+    return Support(stored["anchors"], stored["agreeing"], stored["along_m"], tuple(_poses(stored["ruled_out"])))
 
 
-def _grounds_from(told: Evidence) -> Grounds:
-    return Grounds(told["words"], {name: value for name, value in told.items() if name != "words"})
+def _grounds_from(stored: Evidence) -> Grounds:
+    return Grounds(stored["words"], {name: value for name, value in stored.items() if name != "words"})
 
 
 def _measurement_from(loop: LoopRecord) -> LoopMeasurement:
     """The measurement of a stored loop that has a pose. A person's loop has the pose alone."""
-    told = loop.evidence.get("measurement", {})
+    stored = loop.evidence.get("measurement", {})
     return LoopMeasurement(
         similarity=loop.similarity,
-        inliers=int(told.get("inliers") or 0),
-        inlier_ratio=_number(told, "inlier_ratio"),
-        overlap=_number(told, "overlap"),
-        contrast=_number(told, "contrast"),
-        seen_through=_number(told, "seen_through"),
-        rmse_m=_number(told, "rmse_m"),
+        inliers=int(stored.get("inliers") or 0),
+        inlier_ratio=_number(stored, "inlier_ratio"),
+        overlap=_number(stored, "overlap"),
+        contrast=_number(stored, "contrast"),
+        seen_through=_number(stored, "seen_through"),
+        rmse_m=_number(stored, "rmse_m"),
         score=loop.score,
         T_match_query=pose_matrix(loop.T_match_query) if loop.T_match_query else np.eye(4),
-        covariance=np.nan_to_num(np.array(told.get("covariance", np.zeros(36)), dtype=np.float64)).reshape(6, 6),
-        rivals=tuple(Hypothesis(*_hypothesis(one)) for one in told.get("rivals", ())),
-        common_share=_number(told, "common_share"),
-        enough_share=_number(told, "enough_share"),
+        covariance=np.nan_to_num(np.array(stored.get("covariance", np.zeros(36)), dtype=np.float64)).reshape(6, 6),
+        rivals=tuple(Hypothesis(*_hypothesis(one)) for one in stored.get("rivals", ())),
+        common_share=_number(stored, "common_share"),
+        enough_share=_number(stored, "enough_share"),
     )
 
 
-def _number(told: Evidence, name: str) -> float:
-    return float(told.get(name) or 0.0)
+def _number(stored: Evidence, name: str) -> float:
+    return float(stored.get(name) or 0.0)
 
 
-def _hypothesis(told: Evidence) -> tuple[float, Matrix4]:
-    return float(told["overlap"] or 0.0), np.array(told["T_match_query"], dtype=np.float64)
+def _hypothesis(stored: Evidence) -> tuple[float, Matrix4]:
+    return float(stored["overlap"] or 0.0), np.array(stored["T_match_query"], dtype=np.float64)
 
 
-def _poses(told: Sequence[Any]) -> list[Matrix4]:
-    return [np.array(pose, dtype=np.float64) for pose in told]
+def _poses(stored: Sequence[Any]) -> list[Matrix4]:
+    return [np.array(pose, dtype=np.float64) for pose in stored]
 
 
 @lru_cache(maxsize=64)
@@ -227,9 +227,9 @@ def _thresholds(rules: VerificationConfig) -> Evidence:
     Kept, because each candidate of a map has the same ones; nobody changes the answer.
     """
     values, defaults = _as_json(rules), _as_json(VerificationConfig())
-    told = {name: value for name, value in values.items() if name in SETTABLE or value != defaults[name]}
+    stored = {name: value for name, value in values.items() if name in SETTABLE or value != defaults[name]}
     digest = hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()
-    return {"thresholds": told, "thresholds_version": digest[:VERSION_DIGITS]}
+    return {"thresholds": stored, "thresholds_version": digest[:VERSION_DIGITS]}
 
 
 def _as_json(record: Any) -> Evidence:

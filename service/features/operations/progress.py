@@ -9,7 +9,7 @@ from revisit.service.ports.clock import Clock
 from revisit.service.ports.job_queue import Lease
 from revisit.service.ports.transactions import Transactions, UnitOfWork
 
-TOLD_EVERY_MS = 500
+REPORT_EVERY_MS = 500
 """Each report is a write that other writers wait for."""
 
 
@@ -26,18 +26,18 @@ class Progress:
         self._clock = clock
         self._lease = lease
         self._stage = ""
-        self._told_ms = 0
+        self._reported_ms = 0
 
     def __call__(self, stage: str, done: int = 0, total: int = 1) -> None:
         """`done` of `total` parts of a stage. Raises OperationCancelled, StaleLease."""
         now_ms = self._clock.instant().ms
-        if stage == self._stage and now_ms < self._told_ms + TOLD_EVERY_MS:
+        if stage == self._stage and now_ms < self._reported_ms + REPORT_EVERY_MS:
             return
-        self._stage, self._told_ms = stage, now_ms
-        told: dict[str, Any] = {"stage": stage, "done": done, "total": total}
-        if not self._transactions.write(partial(_report, lease=self._lease, told=told)).result():
+        self._stage, self._reported_ms = stage, now_ms
+        report: dict[str, Any] = {"stage": stage, "done": done, "total": total}
+        if not self._transactions.write(partial(_report, lease=self._lease, report=report)).result():
             raise OperationCancelled
 
 
-def _report(uow: UnitOfWork, lease: Lease, told: dict[str, Any]) -> bool:
-    return uow.queue.report(lease, told)
+def _report(uow: UnitOfWork, lease: Lease, report: dict[str, Any]) -> bool:
+    return uow.queue.report(lease, report)

@@ -54,7 +54,7 @@ class WorkerAnswers:
             operation = await self._operations.wait(tenant, job.operation_id, timeout_s)
         finally:
             if operation is None or not operation.done:
-                await asyncio.shield(self._let_go(posted, discard))
+                await asyncio.shield(self._release(posted, discard))
         if operation.failure is not None:
             raise error_of(operation.failure.code, operation.failure.message)
         if operation.result is None:
@@ -62,7 +62,7 @@ class WorkerAnswers:
             raise NoAnswer(f"no worker answered within {timeout_s:g} s, and the query was dropped")
         return operation.result
 
-    async def _let_go(self, posted: list[JobRecord], discard: Callable[[Result], None]) -> None:
+    async def _release(self, posted: list[JobRecord], discard: Callable[[Result], None]) -> None:
         unread = await self._storage.write(partial(_drop, left=posted))
         for result in unread:
             await asyncio.to_thread(discard, result)

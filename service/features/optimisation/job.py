@@ -60,7 +60,7 @@ class MapOptimisation:
         self._early.release(tenant, map_id)
         accepted = {"map_id": map_id, "state": LoopState.ACCEPTED.value}
         if self._context.transactions.read(lambda uow: uow.loops.count(tenant, **accepted)).result() >= LARGE_MAP_LOOPS:
-            self._places.let_go()
+            self._places.release()
         try:
             self._run(lease, Progress(self._context.transactions, self._context.clock, lease))
         except OperationCancelled:

@@ -77,8 +77,8 @@ class VersionCommit:
         version = add_version(uow, current, self.task, self.optimised, summary, operation_id, self.now_ns)
         forget_versions(uow, current.tenant, current.map_id, version - self.policy.map_versions_kept)
         recall_loops(uow, current.tenant, current.map_id, self.policy, self.now_ns)
-        told = {name: its for name, its in summary.items() if name != AUDITED}
-        self._end(uow, {"version": f"maps/{current.map_id}/versions/{version}", **told})
+        details = {name: its for name, its in summary.items() if name != AUDITED}
+        self._end(uow, {"version": f"maps/{current.map_id}/versions/{version}", **details})
 
     def _end(self, uow: UnitOfWork, result: dict[str, Any]) -> None:
         uow.queue.complete(self.lease, result)

@@ -178,8 +178,8 @@ def _is_known(frames: MapFrames, loop: LoopRecord, record: MapRecord) -> bool:
 
 def _was_tested(loop: LoopRecord, T_match_query: Matrix4) -> bool:
     """Whether a loop was tested again from about there."""
-    told = loop.evidence.get(RECALL)
-    return told is not None and _apart(np.array(told["T_match_query"]).reshape(4, 4), T_match_query)[0]
+    evidence = loop.evidence.get(RECALL)
+    return evidence is not None and _apart(np.array(evidence["T_match_query"]).reshape(4, 4), T_match_query)[0]
 
 
 def _apart(first: Matrix4, second: Matrix4) -> tuple[bool, float]:
@@ -252,12 +252,12 @@ class RecallCommit:
         loop = uow.loops.get(known.tenant, known.map_id, known.loop_id)
         if verdict is None or loop is None or _as_read(loop) != _as_read(known) or decided_by_person(uow, known):
             return False
-        told = {**loop.evidence, RECALL: self._told(one, verdict)}
+        evidence = {**loop.evidence, RECALL: self._recall_evidence(one, verdict)}
         found = verdict_evidence(verdict, self.policy.for_map(one.map).verification)
-        fields: dict[str, Any] = {"evidence": told}
+        fields: dict[str, Any] = {"evidence": evidence}
         if isinstance(verdict, VerifiedLoop):
             fields = {
-                "evidence": {**told, **found, "model_version": self.model_version},
+                "evidence": {**evidence, **found, "model_version": self.model_version},
                 "state": LoopState.ACCEPTED.value,
                 "reason": None,
                 "score": float(verdict.measurement.score),
@@ -266,7 +266,7 @@ class RecallCommit:
         change_loop(uow, loop, self._change(one, verdict, found), **fields)
         return isinstance(verdict, VerifiedLoop)
 
-    def _told(self, one: RecalledLoop, verdict: PairVerdict) -> dict[str, Any]:
+    def _recall_evidence(self, one: RecalledLoop, verdict: PairVerdict) -> dict[str, Any]:
         return {
             "map_version": one.map.map_version,
             "T_match_query": list(pose_row(one.T_match_query)),
@@ -281,5 +281,9 @@ class RecallCommit:
             actor=f"map version {one.map.map_version}",
             note=f"tested again from where the map has the two submaps, after {one.record.reason}",
             map_version=one.map.map_version,
-            details={"model_version": self.model_version, **rules_of(found), RECALL: self._told(one, verdict)},
+            details={
+                "model_version": self.model_version,
+                **rules_of(found),
+                RECALL: self._recall_evidence(one, verdict),
+            },
         )

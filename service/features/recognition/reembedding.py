@@ -26,7 +26,7 @@ from revisit.service.ports.recogniser import PlaceRecogniser, Redescription
 from revisit.service.ports.storage import require_map
 from revisit.service.ports.transactions import Transactions, UnitOfWork
 
-Told = Callable[[int, int], None]
+Progress = Callable[[int, int], None]
 
 _DRAFT = Container(magic=b"RVDRAFT2", noun="draft of a description", level=3, max_body_bytes=64 * 2**20)
 
@@ -93,7 +93,7 @@ class Reembedding:
         every = self._transactions.read(lambda uow: uow.maps.of_all_tenants()).result()
         return [one for one in every if one.model_version is not None]
 
-    def reembed(self, record: MapRecord, told: Told = lambda *_: None) -> Reembedded:
+    def reembed(self, record: MapRecord, progress: Progress = lambda *_: None) -> Reembedded:
         """Describe every described submap of the map again and commit; `told` hears how many of how many are done.
 
         A submap without a readable neural map is described from its scans; one that cannot be described has FAILED,
@@ -106,7 +106,7 @@ class Reembedding:
             renewed = []
             for number, submap in enumerate(submaps, 1):
                 renewed.append(known.get(submap.number) or self._renew(record, submap))
-                told(number, len(submaps))
+                progress(number, len(submaps))
             rows = [self._row(record, one) for one in renewed]
             if self._transactions.write(partial(self._commit, record=record, renewed=renewed, rows=rows)).result():
                 break

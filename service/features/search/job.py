@@ -118,8 +118,8 @@ def _localization(judged: list[JudgedPlace], k: int, config: PipelineConfig) -> 
     """The best candidate and the `k` most similar ones, itself among them, of all that were judged together."""
     accepted = [row for row, one in enumerate(judged) if one.claim.accepted]
     best = max(accepted, key=lambda row: (judged[row].claim.score, -row), default=None)
-    told = [row for row in range(len(judged)) if row < k or row == best]
-    candidates = {row: _candidate(judged[row], config) for row in told}
+    rows = [row for row in range(len(judged)) if row < k or row == best]
+    candidates = {row: _candidate(judged[row], config) for row in rows}
     if best is None:
         return Localization(None, None, tuple(candidates.values()))
     T_match_query = candidates[best].T_match_query

@@ -124,7 +124,7 @@ async def test_events_are_caught_up_on_by_one_tenant_after_the_other(world, monk
 
     def told(_uow, tenant, **_):
         read.append(tenant)
-        return events.Told([], 10**9)
+        return events.EventPage([], 10**9)
 
     async def caught_up(tenant):
         async for _ in watching.watch(tenant, SESSION.map_id, 0):

@@ -62,8 +62,8 @@ class MemoryUnitOfWork:
         self._tables, self._lease_ms, self._clock = tables, lease_ms, clock
         doomed = None if sees_all else Doomed(tables["deletions"])
 
-        def of_map(name: str, *key: str, told: ChangeOf[R] | None = None) -> MemoryRepository[Any]:
-            return MemoryRepository(tables[name], ("map_id", *key), told, doomed)
+        def of_map(name: str, *key: str, listener: ChangeOf[R] | None = None) -> MemoryRepository[Any]:
+            return MemoryRepository(tables[name], ("map_id", *key), listener, doomed)
 
         self.events = MemoryEventLog(tables["events"])
         self.maps: MemoryRepository[MapRecord] = of_map("maps")
@@ -75,8 +75,8 @@ class MemoryUnitOfWork:
         self.loop_events: MemoryRepository[LoopEventRecord] = MemoryRepository(
             tables["loop_events"], ("number",), None, doomed
         )
-        told = on_version_change(self.events)
-        self.map_versions: MemoryRepository[MapVersionRecord] = of_map("map_versions", "version", told=told)
+        listener = on_version_change(self.events)
+        self.map_versions: MemoryRepository[MapVersionRecord] = of_map("map_versions", "version", listener=listener)
         self.session_poses: MemoryRepository[SessionPosesRecord] = of_map("session_poses", "version", "session_id")
         self.early_corrections: MemoryRepository[EarlyCorrectionRecord] = of_map("early_corrections", "session_id")
         self.map_merges: MemoryRepository[MapMergeRecord] = of_map("map_merges", "merge_id")

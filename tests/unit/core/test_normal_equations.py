@@ -13,7 +13,7 @@ from revisit.core.geometry import se3, se3_rows
 from revisit.core.kernels import block_cholesky
 from revisit.core.pose_graph import normal_equations
 from revisit.core.pose_graph.least_squares import minimise, settled
-from revisit.core.pose_graph.normal_equations import Edges, Equations, elimination_order, rehearse
+from revisit.core.pose_graph.normal_equations import Edges, Equations, elimination_order, warm_up
 
 POSES = 60
 
@@ -158,8 +158,8 @@ def test_an_order_of_elimination_is_found_once(monkeypatch: pytest.MonkeyPatch) 
     assert found == [POSES]
 
 
-def test_after_the_rehearsal_nothing_is_compiled() -> None:
-    rehearse()
+def test_after_the_warmup_nothing_is_compiled() -> None:
+    warm_up()
     kernels = [one for one in vars(block_cholesky).values() if isinstance(one, numba.core.dispatcher.Dispatcher)]
     compiled = [len(kernel.signatures) for kernel in kernels]
     edges, poses = made(3, 40)

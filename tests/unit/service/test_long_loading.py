@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 
-from revisit.service.worker.loading import told_while_loading
+from revisit.service.worker.loading import logged_while_loading
 from tests.support.patience import PATIENCE_S
 
 
@@ -16,7 +16,7 @@ def test_loading_that_takes_long_is_told_until_it_ends():
         if len(told) == 3:
             enough.set()
 
-    with told_while_loading(tell, first_s=0.001, every_s=0.001):
+    with logged_while_loading(tell, first_s=0.001, every_s=0.001):
         assert enough.wait(PATIENCE_S)
     event, fields = told[0]
     assert event == "worker_still_loading" and "compiles" in fields["hint"] and fields["seconds"] >= 0
@@ -25,6 +25,6 @@ def test_loading_that_takes_long_is_told_until_it_ends():
 
 def test_loading_that_is_quick_is_not_told():
     told = []
-    with told_while_loading(lambda event, **_: told.append(event)):
+    with logged_while_loading(lambda event, **_: told.append(event)):
         pass
     assert told == []

@@ -1,4 +1,4 @@
-"""Workers compile what they need before they take work, and take it even where the rehearsal fails."""
+"""Workers compile what they need before they take work, and take it even where the warmup fails."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ import pytest
 from revisit.core import kernels
 from revisit.core.errors import EmptyCloud
 from revisit.service import ONE_THREAD
-from revisit.service.adapters.rehearsal import rehearse
+from revisit.service.adapters.warmup import warm_up
 from revisit.service.worker.supervisor import _environment
 from tests.support.fake_recogniser import FakeRecogniser
 
 
-class Rehearsed(FakeRecogniser):
+class WarmedUp(FakeRecogniser):
     """Notes what it was asked."""
 
     def __init__(self, error=None):
@@ -42,10 +42,10 @@ def kernels_folder():
     os.close(folder)
 
 
-def test_the_rehearsal_describes_a_yard_with_walls_and_compares_equal_places_and_different_ones(kernels_folder):
-    fcntl.flock(kernels_folder, fcntl.LOCK_SH)  # whoever rehearses beside this test: the order is one and the same
-    recogniser = Rehearsed()
-    rehearse(recogniser)
+def test_the_warmup_describes_a_yard_with_walls_and_compares_equal_places_and_different_ones(kernels_folder):
+    fcntl.flock(kernels_folder, fcntl.LOCK_SH)  # whoever warms up beside this test: the order is one and the same
+    recogniser = WarmedUp()
+    warm_up(recogniser)
     same, different, (_, submap) = recogniser.asked
     assert (same, different) == (("verify", True), ("verify", False))
     assert submap.scan_count == 3 and submap.T_odom_submap[2, 2] < 1.0
@@ -55,14 +55,14 @@ def test_the_rehearsal_describes_a_yard_with_walls_and_compares_equal_places_and
 
 
 def test_a_yard_that_cannot_be_described_does_not_keep_a_worker_from_its_work():
-    recogniser = Rehearsed(EmptyCloud())
-    rehearse(recogniser)
+    recogniser = WarmedUp(EmptyCloud())
+    warm_up(recogniser)
     assert sorted(asked for asked, _ in recogniser.asked) == ["describe", "verify", "verify"]
 
 
-def test_a_defect_of_the_method_is_not_hidden_by_the_rehearsal():
+def test_a_defect_of_the_method_is_not_hidden_by_the_warmup():
     with pytest.raises(RuntimeError):
-        rehearse(Rehearsed(RuntimeError("a defect")))
+        warm_up(WarmedUp(RuntimeError("a defect")))
 
 
 def test_a_worker_gets_one_thread_for_each_library_and_finds_the_service(monkeypatch):

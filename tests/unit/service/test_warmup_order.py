@@ -11,7 +11,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from revisit.service.adapters import rehearsal
+from revisit.service.adapters import warmup
 from tests.support.patience import PATIENCE_S, eventually
 
 
@@ -36,10 +36,10 @@ def folders(tmp_path, monkeypatch):
     """The two folders that are locked; on a machine of two cores where nothing is compiled."""
     for name in ("kernels", "formats"):
         (tmp_path / name).mkdir()
-        monkeypatch.setattr(rehearsal, name, SimpleNamespace(__file__=str(tmp_path / name / "__init__.py")))
+        monkeypatch.setattr(warmup, name, SimpleNamespace(__file__=str(tmp_path / name / "__init__.py")))
     monkeypatch.setattr(os, "sched_getaffinity", lambda _: {0, 1})
-    monkeypatch.setattr(rehearsal, "_has_compiled", lambda _: True)
-    monkeypatch.setattr(rehearsal.subprocess, "Popen", Companion)
+    monkeypatch.setattr(warmup, "_has_compiled", lambda _: True)
+    monkeypatch.setattr(warmup.subprocess, "Popen", Companion)
     monkeypatch.setattr(Companion, "started", [])
     return tmp_path
 
@@ -52,7 +52,7 @@ def done(monkeypatch):
     def step(number):
         return lambda: done.append((number, sum(not one.ended for one in Companion.started)))
 
-    monkeypatch.setattr(rehearsal, "_steps", lambda _: tuple(step(number) for number in range(4)))
+    monkeypatch.setattr(warmup, "_steps", lambda _: tuple(step(number) for number in range(4)))
     return done
 
 
@@ -64,7 +64,7 @@ def taken(folder) -> int:
 
 
 def test_a_process_that_is_alone_and_must_compile_has_a_companion(folders, done):
-    rehearsal.rehearse(None)
+    warmup.warm_up(None)
     assert done == [(0, 0), (1, 0), (2, 1), (3, 1)]
     assert [one.ended for one in Companion.started] == [True]
 
@@ -73,9 +73,9 @@ def test_the_companion_ends_where_a_step_fails(folders, monkeypatch):
     def fail():
         raise ZeroDivisionError
 
-    monkeypatch.setattr(rehearsal, "_steps", lambda _: (lambda: None, lambda: None, fail))
+    monkeypatch.setattr(warmup, "_steps", lambda _: (lambda: None, lambda: None, fail))
     with pytest.raises(ZeroDivisionError):
-        rehearsal.rehearse(None)
+        warmup.warm_up(None)
     assert [one.ended for one in Companion.started] == [True]
 
 
@@ -86,14 +86,14 @@ def test_there_is_no_companion_where_none_is_needed_or_possible(folders, done, m
 
     held = None
     if why == "all is compiled":
-        monkeypatch.setattr(rehearsal, "_has_compiled", lambda _: False)
+        monkeypatch.setattr(warmup, "_has_compiled", lambda _: False)
     elif why == "one core":
         monkeypatch.setattr(os, "sched_getaffinity", lambda _: {0})
     elif why == "another worker":
         held = taken(folders / "formats")
     else:
-        monkeypatch.setattr(rehearsal.subprocess, "Popen", none_is_free)
-    rehearsal.rehearse(None)
+        monkeypatch.setattr(warmup.subprocess, "Popen", none_is_free)
+    warmup.warm_up(None)
     assert done == [(0, 0), (1, 0), (2, 0), (3, 0)]
     if held is not None:
         os.close(held)
@@ -101,15 +101,15 @@ def test_there_is_no_companion_where_none_is_needed_or_possible(folders, done, m
 
 def test_who_comes_second_begins_at_the_end_and_says_so(folders, done):
     held = taken(folders / "kernels")
-    rehearsal.rehearse(None)
+    warmup.warm_up(None)
     assert done == [(3, 0), (2, 0), (1, 0), (0, 0)]
     os.close(held)
 
 
 def test_a_companion_begins_at_the_end_and_will_end_with_its_worker(done, monkeypatch):
     bound: list[str] = []
-    monkeypatch.setattr(rehearsal, "end_with_parent", lambda: bound.append("to its parent"))
-    rehearsal.accompany(None)
+    monkeypatch.setattr(warmup, "end_with_parent", lambda: bound.append("to its parent"))
+    warmup.accompany(None)
     assert (done, bound) == ([(3, 0), (2, 0), (1, 0), (0, 0)], ["to its parent"])
 
 
@@ -120,7 +120,7 @@ print(child.stdout.readline().decode().strip(), flush=True)
 """
 CHILD = """
 import os, time
-from revisit.service.adapters.rehearsal import end_with_parent
+from revisit.service.adapters.warmup import end_with_parent
 end_with_parent()
 print(os.getpid(), flush=True)
 time.sleep(600)
@@ -142,4 +142,4 @@ def _lives(pid: int) -> bool:
 
 
 def test_what_tells_whether_anything_is_compiled_is_among_the_first_steps():
-    assert rehearsal._end_a_stream in rehearsal._steps(None)[: rehearsal.COMPILED_FIRST]
+    assert warmup._end_a_stream in warmup._steps(None)[: warmup.COMPILED_FIRST]

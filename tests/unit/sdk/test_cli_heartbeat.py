@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import threading
 
+from revisit.cli.heartbeat import Heartbeat
 from revisit.cli.output import progress_bar
-from revisit.cli.signs_of_life import SignsOfLife
 from tests.support.patience import PATIENCE_S
 
 
@@ -30,7 +30,7 @@ def test_work_that_takes_long_is_told_once():
         told.append(line)
         heard.set()
 
-    with SignsOfLife("at work", tell, after_s=0.0, look_s=0.001) as signs:
+    with Heartbeat("at work", tell, after_s=0.0, look_s=0.001) as signs:
         assert heard.wait(PATIENCE_S)
         heard.clear()
         signs.doing("reading drive.mcap")
@@ -40,5 +40,5 @@ def test_work_that_takes_long_is_told_once():
 
 def test_nothing_is_told_while_a_bar_shows_how_far_the_work_is():
     told = []
-    with SignsOfLife("at work", told.append, after_s=0.0, look_s=0.001) as signs, signs.shown():
+    with Heartbeat("at work", told.append, after_s=0.0, look_s=0.001) as signs, signs.shown():
         assert not signs.is_due()

@@ -30,7 +30,7 @@ class UnusableSettings(BadField):
     """The REVISIT_* variables cannot be used."""
 
 
-def settings_here(home: Path | None = None) -> Settings:
+def load_settings(home: Path | None = None) -> Settings:
     """The settings of the environment, with another data folder where `home` is given. Raises UnusableSettings."""
     unknown = [f"{PREFIX}{name} is gone: {reason}. Unset it" for name, reason in gone(os.environ)]
     unknown += [f"{name} is no setting: did you mean {nearest}?" for name, nearest in misspellings(os.environ)]

@@ -1,4 +1,4 @@
-"""Signs of life: a line where a command has shown nothing for a while."""
+"""Heartbeat of a command: a line where it has shown nothing for a while."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ AFTER_S = 1.5
 LOOK_S = 0.25
 
 
-class SignsOfLife:
+class Heartbeat:
     """Tells, once each, what a command is doing that takes longer than `after_s`; nothing while a bar is shown."""
 
     def __init__(
@@ -29,7 +29,7 @@ class SignsOfLife:
 
     def doing(self, doing: str) -> None:
         """Another piece of work begins."""
-        self._doing, self._since, self._told = doing, time.monotonic(), False
+        self._doing, self._since, self._shown = doing, time.monotonic(), False
 
     @contextmanager
     def shown(self) -> Iterator[None]:
@@ -47,18 +47,18 @@ class SignsOfLife:
 
     def is_due(self) -> bool:
         """Whether a line is to be told now."""
-        return not self._bars and not self._told and time.monotonic() >= self._since + self._after_s
+        return not self._bars and not self._shown and time.monotonic() >= self._since + self._after_s
 
     def _watch(self) -> None:
         while not self._ended.wait(self._look_s):
             if self.is_due():
-                self._told = True
+                self._shown = True
                 self._tell(self._doing)
 
     def __enter__(self) -> Self:
         """Begin to watch."""
         self._since = time.monotonic()
-        threading.Thread(target=self._watch, name="signs of life", daemon=True).start()
+        threading.Thread(target=self._watch, name="heartbeat", daemon=True).start()
         return self
 
     def __exit__(

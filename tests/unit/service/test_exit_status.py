@@ -6,7 +6,7 @@ import signal
 
 import pytest
 
-from revisit.service.worker.ends import WorkerEnd, end_of, is_innocent, out_of_memory_kills, reason_of
+from revisit.service.worker.exit_status import WorkerEnd, end_of, is_innocent, out_of_memory_kills, reason_of
 from revisit.service.worker.heartbeat import ORPHANED, OVERTIME
 
 OUTSIDE = [0, -signal.SIGKILL, -signal.SIGTERM, -signal.SIGINT, -signal.SIGHUP, ORPHANED, 74]

@@ -37,7 +37,7 @@ from revisit.core.scan import Scan
 from revisit.core.submap import Submap
 from revisit.formats import quantised_columns
 from revisit.formats.glb import encode_scene
-from revisit.service import own_python
+from revisit.service import python_subprocess
 from revisit.service.ports.recogniser import PlaceRecogniser
 
 Array64 = NDArray[np.float64]
@@ -60,7 +60,7 @@ _PR_SET_PDEATHSIG = 1
 Step = Callable[[], object]
 
 
-def rehearse(recogniser: PlaceRecogniser) -> None:
+def warm_up(recogniser: PlaceRecogniser) -> None:
     """Do each kind of a worker's work once (scans, submaps, pairs, maps, meshes, poses): the last first, where another
     process does so already. One that is alone, with a core to spare, and has to compile gets a companion that does.
 
@@ -79,7 +79,7 @@ def rehearse(recogniser: PlaceRecogniser) -> None:
 
 
 def accompany(recogniser: PlaceRecogniser) -> None:
-    """As `rehearse`, the last first, in a companion: it ends with the process that has started it."""
+    """As `warm_up`, the last first, in a companion: it ends with the process that has started it."""
     end_with_parent()
     _do(reversed(_steps(recogniser)))
 
@@ -94,14 +94,14 @@ def end_with_parent() -> None:
 def _steps(recogniser: PlaceRecogniser) -> tuple[Step, ...]:
     """They know nothing of each other. The gateway asks for the first and the third, too."""
     return (
-        quantised_columns.rehearse,
+        quantised_columns.warm_up,
         _end_a_stream,
-        adapted_cosines.rehearse,
+        adapted_cosines.warm_up,
         partial(_describe_again, recogniser),
         partial(_describe, recogniser),
         partial(_verify, recogniser),
         _draw,
-        normal_equations.rehearse,
+        normal_equations.warm_up,
     )
 
 
@@ -136,7 +136,7 @@ def _companion() -> Iterator[None]:
     """Another process, which compiles from the other end meanwhile."""
     try:
         process = subprocess.Popen(
-            own_python.command("-c", COMPANION), env=own_python.environment(), stdin=subprocess.DEVNULL
+            python_subprocess.command("-c", COMPANION), env=python_subprocess.environment(), stdin=subprocess.DEVNULL
         )
     except OSError:  # no process is free just now: then it takes longer
         yield
