@@ -131,7 +131,7 @@ async def test_events_are_caught_up_on_by_one_tenant_after_the_other(world, monk
             pass
 
     monkeypatch.setattr(events, "_last", lambda *_, **__: 1)
-    monkeypatch.setattr(events, "_told", told)
+    monkeypatch.setattr(events, "_page", told)
     async with asyncio.timeout(60):
         async with watching.turns.of("a third"):
             asked = [asyncio.create_task(caught_up(tenant)) for tenant in callers]
