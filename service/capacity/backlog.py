@@ -103,21 +103,42 @@ class JobPosting:
     def post(
         self, uow: UnitOfWork, tenant: TenantId, kind: OperationKind, subject: str, payload: dict[str, Any]
     ) -> JobRecord:
-        """Queue a new job. Those for which a client waits go before others. Raises WorkersBusy."""
-        self._backlog.require_space(uow, tenant)
-        request = current_request()
-        job = JobRecord(
-            tenant=tenant,
-            operation_id=f"op-{secrets.token_hex(10)}",
-            kind=kind.value,
-            state=OperationState.QUEUED.value,
-            subject=subject,
-            payload=payload,
-            attempts=0,
-            max_attempts=self._policy.max_attempts,
-            created_at_ns=self._clock.wall_ns(),
-            priority=0 if kind in QUERIES else 1,
-            request_id=request.request_id,
-            traceparent=request.span.traceparent,
-        )
+        """Queue a new job. Raises WorkersBusy."""
+        return self.enqueue(uow, self.made(tenant, kind, subject, payload))
+
+    def made(self, tenant: TenantId, kind: OperationKind, subject: str, payload: dict[str, Any]) -> JobRecord:
+        """A job that is not queued yet. Those for which a client waits go before others."""
+        priority = 0 if kind in QUERIES else 1
+        return queued_job(tenant, kind, subject, payload, self._policy, self._clock.wall_ns(), priority)
+
+    def enqueue(self, uow: UnitOfWork, job: JobRecord) -> JobRecord:
+        """Queue a job that was made. Raises WorkersBusy."""
+        self._backlog.require_space(uow, TenantId(job.tenant))
         return uow.queue.enqueue(job)
+
+
+def queued_job(
+    tenant: TenantId,
+    kind: OperationKind,
+    subject: str,
+    payload: dict[str, Any],
+    policy: Policy,
+    now_ns: int,
+    priority: int = 1,
+) -> JobRecord:
+    """A new job with the request that asks for it; of lower `priority` is more urgent."""
+    request = current_request()
+    return JobRecord(
+        tenant=tenant,
+        operation_id=f"op-{secrets.token_hex(10)}",
+        kind=kind.value,
+        state=OperationState.QUEUED.value,
+        subject=subject,
+        payload=payload,
+        attempts=0,
+        max_attempts=policy.max_attempts,
+        created_at_ns=now_ns,
+        priority=priority,
+        request_id=request.request_id,
+        traceparent=request.span.traceparent,
+    )

@@ -3,14 +3,11 @@ bounds them."""
 
 from __future__ import annotations
 
-import secrets
-
-from revisit.service.capacity.backlog import same_job
+from revisit.service.capacity.backlog import queued_job, same_job
 from revisit.service.domain.identity import TenantId
 from revisit.service.domain.policy import Policy
 from revisit.service.domain.records import JobRecord
-from revisit.service.domain.states import LoopState, OperationKind, OperationState
-from revisit.service.ports.tracing import current_request
+from revisit.service.domain.states import LoopState, OperationKind
 from revisit.service.ports.transactions import UnitOfWork
 
 _LAST = 2
@@ -27,24 +24,8 @@ def post_map_job(
     priority: int = 1,
 ) -> JobRecord:
     """Queue a job about a map, not to be run before `delay_ms` have passed."""
-    request = current_request()
-    return uow.queue.enqueue(
-        JobRecord(
-            tenant=tenant,
-            operation_id=f"op-{secrets.token_hex(10)}",
-            kind=kind.value,
-            state=OperationState.QUEUED.value,
-            subject=f"maps/{map_id}",
-            payload={"map_id": map_id},
-            attempts=0,
-            max_attempts=policy.max_attempts,
-            created_at_ns=now_ns,
-            priority=priority,
-            request_id=request.request_id,
-            traceparent=request.span.traceparent,
-        ),
-        delay_ms=delay_ms,
-    )
+    job = queued_job(tenant, kind, f"maps/{map_id}", {"map_id": map_id}, policy, now_ns, priority)
+    return uow.queue.enqueue(job, delay_ms=delay_ms)
 
 
 def waiting_map_job(uow: UnitOfWork, tenant: TenantId, map_id: str, kind: OperationKind) -> JobRecord | None:

@@ -45,16 +45,15 @@ class WorkerAnswers:
         A job that nobody waits for any more is dropped. One that has ended by then stays, and `discard`, which may
         block, is given its result, as nobody else is.
         """
-        posted: list[JobRecord] = []
+        job = self._jobs.made(tenant, kind, subject, payload)
         operation: OperationView | None = None
         try:
-            post = partial(self._jobs.post, tenant=tenant, kind=kind, subject=subject, payload=payload)
-            # Noted by the writer: a caller that leaves meanwhile does not undo the job.
-            job = await self._storage.write(lambda uow: _noted(post(uow), posted))
+            await self._storage.write(partial(self._jobs.enqueue, job=job))
             operation = await self._operations.wait(tenant, job.operation_id, timeout_s)
         finally:
+            # A caller that leaves meanwhile does not undo the job: it is queued before this, or never.
             if operation is None or not operation.done:
-                await asyncio.shield(self._release(posted, discard))
+                await asyncio.shield(self._release(job, discard))
         if operation.failure is not None:
             raise error_of(operation.failure.code, operation.failure.message)
         if operation.result is None:
@@ -62,26 +61,20 @@ class WorkerAnswers:
             raise NoAnswer(f"no worker answered within {timeout_s:g} s, and the query was dropped")
         return operation.result
 
-    async def _release(self, posted: list[JobRecord], discard: Callable[[Result], None]) -> None:
-        unread = await self._storage.write(partial(_drop, left=posted))
-        for result in unread:
-            await asyncio.to_thread(discard, result)
+    async def _release(self, job: JobRecord, discard: Callable[[Result], None]) -> None:
+        unread = await self._storage.write(partial(_drop, asked=job))
+        if unread is not None:
+            await asyncio.to_thread(discard, unread)
 
 
-def _noted(job: JobRecord, posted: list[JobRecord]) -> JobRecord:
-    posted.append(job)
-    return job
+def _drop(uow: UnitOfWork, asked: JobRecord) -> Result | None:
+    """Forget a job that has not ended: a worker that runs it finds its lease gone, and its result is refused.
 
-
-def _drop(uow: UnitOfWork, left: list[JobRecord]) -> list[Result]:
-    """Forget the jobs that have not ended: a worker that runs one finds its lease gone, and its result is refused.
-
-    The results of those that have. Runs behind the write that posted them, so `left` holds a job also where its caller
-    left before that write.
+    The result of one that has.
     """
-    stored = [uow.jobs.get(job.tenant, job.operation_id) for job in left]
-    present = [job for job in stored if job is not None]
-    for job in present:
-        if job.state in (OperationState.QUEUED.value, OperationState.RUNNING.value):
-            uow.jobs.delete(job.tenant, operation_id=job.operation_id)
-    return [job.result for job in present if job.result is not None]
+    job = uow.jobs.get(asked.tenant, asked.operation_id)
+    if job is None:
+        return None
+    if job.state in (OperationState.QUEUED.value, OperationState.RUNNING.value):
+        uow.jobs.delete(job.tenant, operation_id=job.operation_id)
+    return job.result
