@@ -1,6 +1,6 @@
 """The `revisit` command: one module for each command or group of commands, with its options and its work.
 
-A module imports what its work needs when the command runs, so that `revisit --help` is quick, and so that commands that
+A module imports its libraries when the command runs, so that `revisit --help` is quick, and so that commands that
 only talk to a service run where the service itself is not installed.
 """
 

@@ -78,7 +78,7 @@ for name, group in GROUPS.items():
 
 
 def run() -> None:
-    """Run a command; what the service refuses is told in one line, with exit status 1."""
+    """Run a command; a refusal of the service is one line, with exit status 1."""
     from revisit.cli.output import signs
     from revisit.core.errors import RevisitError
     from revisit.sdk.errors import ApiError

@@ -1,4 +1,4 @@
-"""`revisit audit`: what happened, read from the database itself, whether or not the service runs."""
+"""`revisit audit`: the audit log, read from the database itself, whether or not the service runs."""
 
 from __future__ import annotations
 

@@ -19,7 +19,7 @@ def explain(
     http: Http = HTTP,
     json: Json = False,
 ) -> None:
-    """Say which gate stopped each near miss of a submap, and what would have passed it."""
+    """Say which gate stopped each near miss of a submap, and the value that would have passed it."""
     from revisit.sdk.client import Client
 
     name = full_name(map_id, submap)

@@ -74,7 +74,7 @@ def export(
 
 
 def _write_text(file_format: str, out: Path | None, http: str, map_id: str, session_id: str) -> dict[str, Any]:
-    """A graph, a trajectory or a table, to a file or to stdout; what it holds."""
+    """A graph, a trajectory or a table, to a file or to stdout; a summary."""
     from revisit.cli.pose_graph_files import as_csv, as_g2o, as_tum, read_graph
 
     writers: dict[str, Callable[[Graph], str]] = {"g2o": as_g2o, "tum": as_tum, "csv": as_csv}
@@ -88,7 +88,7 @@ def _write_text(file_format: str, out: Path | None, http: str, map_id: str, sess
 
 
 def _write_file(file_format: str, out: Path, http: str, chosen: tuple[str, str], epsg: int) -> dict[str, Any]:
-    """Poses, a cloud, a mesh or a grid, with a bar; what it holds."""
+    """Poses, a cloud, a mesh or a grid, with a bar; a summary."""
     from revisit.cli.map_files import placed_submaps
 
     placed = placed_submaps(http, *chosen)

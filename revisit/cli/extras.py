@@ -1,4 +1,4 @@
-"""Which extra of the distribution a command needs, and what to say where it is not installed."""
+"""Extras of the distribution that commands need, and the advice where one is not installed."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def needs(extra: Extra) -> Callable[[Callable[P, R]], Callable[P, R]]:
 
 
 def what_is_missing(extra: Extra, error: ImportError) -> str:
-    """One line that says what to install: `extra`, or as the error itself says.
+    """The advice in one line: install `extra`, or as the error itself says.
 
     Raises `error` where a part of Revisit's own is missing.
     """

@@ -14,7 +14,7 @@ LOOK_S = 0.25
 
 
 class Heartbeat:
-    """Tells, once each, what a command is doing that takes longer than `after_s`; nothing while a bar is shown."""
+    """Shows, once each, work that takes longer than `after_s`; nothing while a bar is shown."""
 
     def __init__(
         self, doing: str, tell: Callable[[str], None], *, after_s: float = AFTER_S, look_s: float = LOOK_S

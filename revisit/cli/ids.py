@@ -18,7 +18,7 @@ _OTHERS = re.compile(r"[^A-Za-z0-9._-]+")
 
 
 def require_id(option: str, value: str) -> str:
-    """`value`, where it can be the id of what `option` names. Exits where it cannot."""
+    """`value`, if it is a valid id for `option`. Exits otherwise."""
     if ID.fullmatch(value) is None:
         raise refuse(f"{option} {value!r} cannot be an id: that is {_RULE}")
     return value
@@ -27,8 +27,8 @@ def require_id(option: str, value: str) -> str:
 def id_of(name: str, option: str) -> str:
     """An id like the name of a file, which goes to stderr where it had to be changed.
 
-    Letters lose their accents, and `-` stands for what an id cannot hold. Exits where nothing is left; `option` gives
-    another id.
+    Letters lose their accents, and `-` replaces characters that an id cannot hold. Exits where nothing is left;
+    `option` gives another id.
     """
     plain = "".join(mark for mark in unicodedata.normalize("NFKD", name) if not unicodedata.combining(mark))
     made = _OTHERS.sub("-", plain).lstrip("._-")[:ID_CHARACTERS].rstrip("-")

@@ -58,7 +58,7 @@ class Target:
 
 @dataclass(frozen=True)
 class Ingested:
-    """What became of a recording."""
+    """The result of an ingest."""
 
     session: str
     scans_sent: int
@@ -84,7 +84,7 @@ class RefusedScan:
 
 @dataclass(frozen=True)
 class Sent:
-    """How many scans this run sent, and what was refused or could not be read, in the order of the recording."""
+    """The number of scans that this run sent, and refused or unreadable ones, in the order of the recording."""
 
     scans: int
     refused: tuple[RefusedScan, ...]
@@ -297,7 +297,7 @@ def _refused_scan(refusal: Refusal, order: int, sent: list[int], session: Sessio
 
 
 def _emptied(client: Client, session: Session, spool: Path) -> int | None:
-    """Sends what the spool holds; the time of the last scan that was put into it for this session, if any."""
+    """Sends the spool's content; the time of the last scan that was put into it for this session, if any."""
     from revisit.sdk.spool import Spool
 
     opened = Spool(spool, session.name)

@@ -1,4 +1,4 @@
-"""`revisit inspect`: whether a recording can be what it claims, before anything is sent."""
+"""`revisit inspect`: checks a recording before anything is sent."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def inspect(
 ) -> None:
     """Check units, gravity, handedness, poses and times of a recording; exits with 2 where something is suspicious.
 
-    Of a stored session it tells what the workers have found in its submaps.
+    For a stored session: the findings of the workers in its submaps.
     """
     if _SESSION.fullmatch(recording) and not Path(recording).exists():
         _inspect_session(recording, http, json)
@@ -100,7 +100,7 @@ def _report(name: str, figures: Mapping[str, Any], findings: list[dict[str, Any]
 
 
 def warn(recording: Recording) -> None:
-    """Say on stderr what is suspicious about a recording."""
+    """Warn on stderr of likely mistakes in a recording."""
     from revisit.evaluation.inspection import inspect_recording
 
     signs.doing(f"looking at scans of {recording.name}")
@@ -110,7 +110,7 @@ def warn(recording: Recording) -> None:
 
 
 def warn_of_findings(session: Session) -> None:
-    """Say on stderr what the workers have found in a session."""
+    """Warn on stderr of the workers' findings in a session."""
     for finding in session.findings:
         line = f"in {finding.submaps} submaps. Likely cause: {finding.cause}"
         typer.echo(f"{session.name}: warning: {finding.code}: {line}. To do: {finding.advice}.", err=True)

@@ -25,7 +25,7 @@ def loop(
     http: Http = HTTP,
     json: Json = False,
 ) -> None:
-    """Accept or reject a loop closure whatever its verdict was, or take back the last decision of a person on it."""
+    """Accept or reject a loop closure of any verdict, or take back the last decision of a person on it."""
     if decision not in DECISIONS:
         raise refuse(f"the decision is one of {', '.join(DECISIONS)}")
     from revisit.sdk.client import Client

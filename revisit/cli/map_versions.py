@@ -96,7 +96,7 @@ def check(
     ] = None,
     json: Json = False,
 ) -> None:
-    """Check every byte of a map file against its manifest and the whole against a hash; list what changed --since."""
+    """Check every byte of a map file against its manifest and the whole against a hash; list the changes --since."""
     from revisit.formats.map_file import MapFile, difference, hash_of_file
 
     with MapFile.open(file) as opened:
@@ -160,7 +160,7 @@ def _around(poses: list[SubmapPose], around: str) -> list[SubmapPose]:
 def _published(client: Client, out: Path, version: MapVersion) -> tuple[int, str]:
     """Download the file of a version, which the service makes where it has none: submaps, and mapHash.
 
-    What an earlier attempt has left is not sent again.
+    Bytes of an earlier attempt are not sent again.
     """
     file = client.download_map_file(_file_of(client, version, ""), out)
     return file.submaps, file.map_hash
@@ -179,7 +179,7 @@ def write_from_service(
     around: str = "",
     report: Report = lambda *_: None,
 ) -> tuple[int, str]:
-    """Write a version, or what lies `around` a place, from what the service has: submaps, and mapHash.
+    """Write a version, or its part `around` a point, from the service; the number of submaps, and mapHash.
 
     Raises typer.Exit where there is nothing.
     """

@@ -52,7 +52,7 @@ def versions(
     http: Http = HTTP,
     json: Json = False,
 ) -> None:
-    """List the versions of a map that are kept, and what each rests on; or bring the poses of one back."""
+    """List the versions of a map, and the loops that each rests on; or bring the poses of one back."""
     from revisit.sdk.client import Client
 
     if files and revert is not None:
@@ -80,7 +80,7 @@ def merges(
     http: Http = HTTP,
     json: Json = False,
 ) -> None:
-    """List what was merged into a map; what changed between its days by the last merge, or take that merge back."""
+    """List the merges into a map, or the changes between its days by the last one; or take that one back."""
     from revisit.sdk.client import Client
 
     if changes and undo:

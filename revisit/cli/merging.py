@@ -1,4 +1,4 @@
-"""`revisit merge`: one map out of two, and what speaks for and against it."""
+"""`revisit merge`: one map out of two, and the evidence for and against it."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def merge(
 
 
 def show_changes(found: list[MapChange]) -> None:
-    """What vanished and what appeared, the largest first."""
+    """Vanished and new things, the largest first."""
     rows = [
         (one.kind, *(f"{value:.1f}" for value in (*one.centre_m, *one.extent_m)), one.points)
         for one in found[:SHOWN_CHANGES]

@@ -30,7 +30,7 @@ def operations(
     http: Http = HTTP,
     json: Json = False,
 ) -> None:
-    """List operations with what they are about and why they failed, by default those that failed for good.
+    """List operations with their subjects and reasons of failure, by default those that failed for good.
 
     With --retry or --cancel: those named.
     """
@@ -50,7 +50,7 @@ def operations(
 
 
 def _require_one_way(names: list[str] | None, *, retry: bool, cancel: bool, every: bool) -> None:
-    """Exits unless it is a list, or a retry or an end of what is named."""
+    """Exits unless it is a list, or a retry or a cancellation of named operations."""
     listing = not (names or retry or cancel or every)
     retrying = retry and not cancel and every != bool(names)
     cancelling = cancel and not retry and not every and bool(names)

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 PIPE_WIDTH = 400
 
 signs = Heartbeat("at work", lambda doing: typer.echo(f"revisit: {doing} ...", err=True))
-"""What this process is doing; `revisit.cli.app.run` begins to watch."""
+"""The heartbeat of this process; `revisit.cli.app.run` starts it."""
 
 
 def emit_json(value: Any) -> None:
@@ -94,7 +94,7 @@ def tell(line: str) -> None:
 
 
 def reporter(bar: Progress) -> Callable[[str, int, int], None]:
-    """What long work calls with (stage, done, total): one line of `bar` for each stage."""
+    """A progress callback (stage, done, total): one line of `bar` for each stage."""
     tasks: dict[str, TaskID] = {}
 
     def report(stage: str, done: int, total: int) -> None:
@@ -106,7 +106,7 @@ def reporter(bar: Progress) -> Callable[[str, int, int], None]:
 
 
 def plain(value: Any) -> Any:
-    """What JSON has for a value of NumPy. Raises TypeError for anything else."""
+    """A value of NumPy for JSON. Raises TypeError for anything else."""
     import numpy as np
 
     if isinstance(value, np.ndarray):

@@ -96,5 +96,5 @@ def _show(graph: PoseGraph, optimised: OptimisedGraph) -> None:
 
 
 def _frame(session: str, optimised: OptimisedGraph) -> str:
-    """The session whose odometry frame is the map's for this one."""
+    """The session of the map's frame for this one."""
     return next(group[0] for group in optimised.components if session in group)

@@ -12,7 +12,7 @@ EVERY_S = 10.0
 
 
 class ProgressLines(Progress):
-    """A bar that is never drawn. What has changed is told every ten seconds, and at the end."""
+    """A bar that is never drawn. Changes are printed every ten seconds, and at the end."""
 
     def __init__(self, tell: Callable[[str], None]) -> None:
         super().__init__(disable=True)

@@ -1,4 +1,4 @@
-"""`revisit query` and `loops`: what a running service knows of a place."""
+"""`revisit query` and `loops`: searches and loops of a running service."""
 
 from __future__ import annotations
 

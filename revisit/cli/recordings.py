@@ -1,4 +1,4 @@
-"""Opening a recording for a command: the options that bags need, and what is told about the choice of topics."""
+"""Opening a recording for a command: the options that bags need, and notes on the choice of topics."""
 
 from __future__ import annotations
 

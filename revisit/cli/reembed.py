@@ -27,7 +27,7 @@ def reembed(
 ) -> None:
     """Describe the submaps of older maps again with the installed model, from their stored neural maps.
 
-    Of a submap whose neural map is damaged or of a form no longer read, from its scans: name its map for that.
+    A submap with a damaged neural map, or one of a former form, is described from its scans: name its map for that.
     Each map changes in one step at its end; an interrupted run goes on where it ended. Loop closures stay as they are.
     """
     from revisit.service.composition import offline_reembedding

@@ -150,7 +150,7 @@ def _is_readable(recording: Recording, index: int) -> bool:
 
 
 def _lacking(session: Session, recording: Recording, last: int, count: int) -> str:
-    """What a session that ends with the scan `last` lacks of the recording; empty for nothing."""
+    """The part of the recording that a session ending with the scan `last` lacks; empty for nothing."""
     stored, stamps = session.committed_seq, recording.stamps_ns
     if last >= stored:
         # Time must not go backwards in a session: such scans are refused.

@@ -37,7 +37,7 @@ def corrections_of(submaps: Sequence[Submap], T_map_submap: dict[str, Matrix4]) 
 def corrected(
     stamps_ns: Stamps, T_odom_scan: Sequence[Matrix4], corrections: Sequence[Correction]
 ) -> Iterator[Matrix4]:
-    """T_map_scan (4, 4) of each scan, whose times rise.
+    """T_map_scan (4, 4) of each scan; times rise.
 
     Between two submaps the correction goes over from one to the other on a screw motion, by the share of the way that
     the scan has made: while a robot stands it does not move. Before the first and behind the last it is theirs.
@@ -58,7 +58,7 @@ def trajectory_lines(recording: Recording, corrections: Sequence[Correction]) ->
 
 
 def _since_first(stamps_ns: Stamps) -> NDArray[np.float64]:
-    """Differences of integers: nanoseconds since 1970 exceed what a float64 holds exactly."""
+    """Differences of integers: nanoseconds since 1970 exceed the exact integers of float64."""
     return np.asarray(stamps_ns - stamps_ns[0], dtype=np.float64)
 
 

@@ -36,7 +36,7 @@ def _run(command: str, **settings: Path | str | int | None) -> None:
     for name, value in settings.items():
         if value is not None:
             os.environ[f"REVISIT_{name.upper()}"] = str(value)
-    signs.end()  # what follows on stderr is the log
+    signs.end()  # the log follows on stderr
     from revisit.service.__main__ import main
 
     raise typer.Exit(main([command]))

@@ -18,7 +18,7 @@ def spool(
     grpc: Grpc = GRPC,
     json: Json = False,
 ) -> None:
-    """Show what a robot's spool holds and which scans the service refused; --send empties it first."""
+    """Show the content of a robot's spool and the scans that the service refused; --send empties it first."""
     from revisit.sdk.client import Client
     from revisit.sdk.spool import Spool
 

@@ -1,4 +1,4 @@
-"""`revisit watch`: what happens in a map, a line each, as it happens."""
+"""`revisit watch`: the events of a map, a line each, as they happen."""
 
 from __future__ import annotations
 

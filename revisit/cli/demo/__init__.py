@@ -1,4 +1,4 @@
-"""`revisit demo`: a service, two simulated robots, and a count of what was found against the truth."""
+"""`revisit demo`: a service, two simulated robots, and their loops against the truth."""
 
 from __future__ import annotations
 

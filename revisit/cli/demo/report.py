@@ -1,4 +1,4 @@
-"""What the demo found, as tables: some loops with their errors, and the figures against their targets."""
+"""Results of the demo as tables: some loops with their errors, and the figures against their targets."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def show(report: LoopReport, console: Console) -> None:
 
 
 def show_map(report: MapReport, console: Console) -> None:
-    """Print what one map does for each robot: its errors before and after, and its correction."""
+    """Print the gain of one map for each robot: its errors before and after, and its correction."""
     table = Table(title=f"One map of both robots: {_resting(report)}")
     table.add_column("robot", overflow="fold")
     for heading in ("way", "odometry off", "map off", "correction: x, y, yaw"):

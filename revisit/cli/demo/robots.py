@@ -20,7 +20,7 @@ STREAMED = SubmapConfig(tau=10.0, stride=10.0)
 def stream_drive(
     client: Client, map_name: str, drive: DemoDrive, console: Console
 ) -> tuple[dict[str, TrueSubmap], dict[str, range]]:
-    """Stream a drive scan by scan over gRPC; what is true of the submaps the service made of it, and their scans."""
+    """Stream a drive scan by scan over gRPC; the true poses of its submaps, and their scans."""
     session = client.create_session(map_name, drive.robot)
     with step(console, f"{drive.robot} streams scans (gRPC)", len(drive)) as shown, client.stream(session) as stream:
         for scan, T_odom_sensor in zip(drive.scans(), drive.T_odom_sensor, strict=True):
@@ -38,7 +38,7 @@ def stream_drive(
 def post_drive(
     client: Client, map_name: str, drive: DemoDrive, first_order: int, console: Console
 ) -> tuple[dict[str, TrueSubmap], dict[str, range]]:
-    """Accumulate submaps on the robot and post them over REST; what is true of them, and their scans, by name."""
+    """Accumulate submaps on the robot and post them over REST; their true poses, and their scans, by name."""
     session = client.create_session(map_name, drive.robot)
     builder = SubmapBuilder(STREAMED)
     windows: dict[str, range] = {}

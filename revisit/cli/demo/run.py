@@ -44,7 +44,7 @@ WORK_S = 900.0
 
 @dataclass(frozen=True)
 class Drives:
-    """What the robots drove: what is true of their submaps, and which scans these hold, by name."""
+    """The drives: true poses of the submaps, and their scans, by name."""
 
     drives: tuple[DemoDrive, ...]
     truth: dict[str, TrueSubmap]
@@ -53,7 +53,7 @@ class Drives:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What the service made of the drives."""
+    """The service's answers about the drives."""
 
     loops: LoopReport
     map: MapReport

@@ -18,7 +18,7 @@ class Step:
     """A step that goes on: tell it how much is `done`, and of how many where that is known."""
 
     def __init__(self, what: str, total: int | None) -> None:
-        """`what` in a few words."""
+        """`what`, shortened."""
         self.what = what
         self.total = total
         self.done = 0
@@ -30,7 +30,7 @@ class Step:
 
     @property
     def words(self) -> str:
-        """What is done of how many, nothing where nothing is counted."""
+        """Done of total, empty where nothing is counted."""
         return f"{self.done} of {self.total}" if self.total else ""
 
     @property
