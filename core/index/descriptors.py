@@ -9,7 +9,7 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
-from revisit.core.index.places import Array
+from revisit.core.index.entries import Array
 
 Indices = NDArray[np.intp]
 Marks = NDArray[np.uint64]

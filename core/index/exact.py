@@ -1,4 +1,4 @@
-"""The reference: every search learns from all places and compares with all that pass the filter."""
+"""The reference: every search learns from all entries and compares with all that pass the filter."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from revisit.core.config import AdaptationConfig
 from revisit.core.descriptor.adaptation import SiteStatistics
+from revisit.core.index.entries import Array, IndexEntry, Match, SearchFilter, checked_query, checked_vectors, ranked
 from revisit.core.index.learning import learn_plainly
-from revisit.core.index.places import Array, IndexEntry, Match, SearchFilter, checked_query, checked_vectors, ranked
 from revisit.core.index.rows import Rows
 
 _PORTION = 2048
@@ -18,7 +18,7 @@ _PORTION = 2048
 
 
 class ExactIndex:
-    """A `PlaceIndex` as plain as its definition. Its statistics are kept until its places change."""
+    """A `PlaceIndex` as plain as its definition. Its statistics are kept until its entries change."""
 
     def __init__(self, dimension: int, config: AdaptationConfig = AdaptationConfig()) -> None:
         self._config = config

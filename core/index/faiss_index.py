@@ -13,9 +13,7 @@ from numpy.typing import NDArray
 
 from revisit.core.config import AdaptationConfig
 from revisit.core.index.descriptors import PORTION, Descriptors, Marks, SharedRows, marks_of
-from revisit.core.index.exact import asked, similarities, standardised
-from revisit.core.index.learning import SiteLearner
-from revisit.core.index.places import (
+from revisit.core.index.entries import (
     Array,
     Flags,
     IndexEntry,
@@ -25,17 +23,19 @@ from revisit.core.index.places import (
     checked_vectors,
     ranked,
 )
+from revisit.core.index.exact import asked, similarities, standardised
+from revisit.core.index.learning import SiteLearner
 from revisit.core.index.rows import Rows
 from revisit.core.index.shortlist import CodedShortlist, FlatShortlist
 
 Indices = NDArray[np.intp]
 
 CODED_FROM = 4096
-"""Places from which a map is searched by codes: below, comparing with all takes about a millisecond."""
+"""Entries from which a map is searched by codes: below, comparing with all takes about a millisecond."""
 _CODES_ARE_LEARNED_ANEW_AFTER = 4
 _SHORTLIST = 160
 _PLACES_PER_PROPOSED = 3000
-"""Of more than 480,000 places more are proposed than `_SHORTLIST`: one for so many (docs/decisions/0112)."""
+"""Of more than 480,000 entries more are proposed than `_SHORTLIST`: one for so many (docs/decisions/0112)."""
 _FEW = 2048
 _CODED_PER_SEARCH = 256
 
@@ -54,7 +54,7 @@ class StoredIndex:
 
     @cached_property
     def arrays(self) -> Mapping[str, NDArray[np.generic]]:
-        """All arrays. Taking removed places out of the codes takes long, so it is done here, where no search waits."""
+        """All arrays. Taking removed entries out of the codes takes long, so it is done here, where no search waits."""
         if self.codes is None:
             return self.known
         self.codes.keep(self.rows)
@@ -76,9 +76,9 @@ class StoredIndex:
 class FaissIndex:
     """A `PlaceIndex` with 4 to 6 kB a place of 1,024 entries, and a search that hardly grows with the map.
 
-    Up to `coded_from` places it is exact. Above, the best are those of a few hundred that their codes propose. The
-    codes are made along with the places that come and the searches that ask, a few at a time; until they are ready,
-    all places are compared.
+    Up to `coded_from` entries it is exact. Above, the best are those of a few hundred that their codes propose. The
+    codes are made along with the entries that come and the searches that ask, a few at a time; until they are ready,
+    all entries are compared.
     """
 
     def __init__(
@@ -91,7 +91,7 @@ class FaissIndex:
         self._flat: FlatShortlist | None = FlatShortlist(dimension)
         self._codes: CodedShortlist | None = None
         self._next_codes: CodedShortlist | None = None
-        self._waiting = 0  # places that were added while more were to come: no codes were made along with them
+        self._waiting = 0  # entries that were added while more were to come: no codes were made along with them
 
     def __len__(self) -> int:
         return len(self._rows.row_of)
@@ -148,7 +148,7 @@ class FaissIndex:
         return [entry.id for entry in entries if entry.id in differing]
 
     def shared_of(self, ids: Sequence[int]) -> Indices:
-        """Which of the shared rows hold those places."""
+        """Which of the shared rows hold those entries."""
         return self._rows.shared_of(ids)
 
     @property
@@ -158,11 +158,11 @@ class FaissIndex:
 
     @property
     def codes_learned_at(self) -> int:
-        """Of how many places the codes were learned by which it is searched, 0 for none."""
+        """Of how many entries the codes were learned by which it is searched, 0 for none."""
         return 0 if self._codes is None else self._codes.learned_at
 
     def stored(self) -> StoredIndex:
-        """The state from which `restored` answers as this index does now, without removed places. Raises RowDiffers."""
+        """The state for `restored` to answer as this index does now, without removed entries. Raises RowDiffers."""
         self._learn()
         rows, live = self._rows, self._rows.live()
         arrays = {
@@ -207,7 +207,7 @@ class FaissIndex:
         return self._flat.count if self._flat is not None else self._codes.count if self._codes is not None else 0
 
     def _learn(self) -> None:
-        """Take in new places; the compared form follows the statistics."""
+        """Take in new entries; the compared form follows the statistics."""
         self._follow(self._learner.learn(self._rows))
 
     def _follow(self, changed: Indices) -> None:

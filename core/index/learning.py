@@ -1,4 +1,4 @@
-"""Statistics that an index learns from its places: which of them count, and when they are due."""
+"""Statistics that an index learns from its entries: which of them count, and when they are due."""
 
 from __future__ import annotations
 
@@ -20,15 +20,15 @@ _NOTHING_HOLDS = -1
 """In place of a step: the map is learned anew."""
 
 _SUMS_STORED_FROM = 32
-"""Sums of fewer places of a session are not stored: they take as much room as 4 descriptors, and tell of few places."""
+"""Sums of fewer entries of a session are not stored: they take as much room as 4 descriptors, for few entries."""
 
 
 class SiteLearner:
-    """The statistics of the places in `Rows`, learned anew at steps of growth (docs/decisions/0120).
+    """The statistics of the entries in `Rows`, learned anew at steps of growth (docs/decisions/0120).
 
-    Of places of a session that lie within one cell, the first counts. The map's statistics come from its first places
+    Of entries of a session that lie within one cell, the first counts. The map's statistics come from its first entries
     that count, as many as the last step asks for, and so does the mean of each session from the session's. What a
-    session teaches is kept until one of its places that count is removed (docs/decisions/0305).
+    session teaches is kept until one of its entries that count is removed (docs/decisions/0305).
     """
 
     def __init__(self, config: AdaptationConfig) -> None:
@@ -40,13 +40,13 @@ class SiteLearner:
         self._uncounted: set[int] = set()  # sessions whose rows are counted anew
         self._learned = 0
         self._stale: set[int] = set()
-        self._in_map: dict[int, SessionSums] = {}  # of the places that teach the map, also where they no longer do
+        self._in_map: dict[int, SessionSums] = {}  # of the entries that teach the map, also where they no longer do
         self._of_session: dict[int, SessionSums] = {}
-        self._steps: dict[int, int] = {}  # from how many places the mean of each session was learned
+        self._steps: dict[int, int] = {}  # from how many entries the mean of each session was learned
         self.site: SiteStatistics | None = None
 
     def forget(self, rows: Rows, gone: Indices) -> None:
-        """The places of the rows `gone` were removed: the statistics of their sessions are learned anew.
+        """The entries of the rows `gone` were removed: the statistics of their sessions are learned anew.
 
         One that did not count taught nothing. `rows` still know of which sessions they were.
         """
@@ -86,7 +86,7 @@ class SiteLearner:
         self._in_map, self._of_session = _sums_of_arrays(arrays, "in_map_"), _sums_of_arrays(arrays, "of_session_")
 
     def learn(self, rows: Rows) -> Indices:
-        """Take in the places that have come since the last time; the rows whose standardised form is another now."""
+        """Take in the entries that have come since the last time; the rows whose standardised form is another now."""
         self._count(rows)
         step = learned_from(int(np.count_nonzero(self._flags())), self._config)
         if step != self._learned:
@@ -138,7 +138,7 @@ class SiteLearner:
         return map(tuple, np.floor(rows.positions[chosen] / self._config.cell).astype(np.int64).tolist())
 
     def _learn_map(self, rows: Rows, step: int) -> Indices:
-        """Learn from the first `step` places that count; the sessions follow."""
+        """Learn from the first `step` entries that count; the sessions follow."""
         end = int(np.flatnonzero(self._flags())[step - 1]) + 1 if step else 0
         counts = {session: bisect_left(own, end) for session, own in self._by_session.items()}
         in_map = {session: self._sums(rows, session, count, self._in_map) for session, count in counts.items() if count}
@@ -149,7 +149,7 @@ class SiteLearner:
         return np.arange(rows.count)
 
     def _learn_sessions(self, rows: Rows) -> list[int]:
-        """Learn the means of the sessions that are stale and have places enough; which they are."""
+        """Learn the means of the sessions that are stale and have entries enough; which they are."""
         if self.site is None:
             return []
         steps = {session: learned_from(len(self._by_session[session]), self._config) for session in self._stale}
@@ -165,7 +165,7 @@ class SiteLearner:
         return list(changed)
 
     def _sums(self, rows: Rows, session: int, count: int, known: Mapping[int, SessionSums]) -> SessionSums:
-        """Of the first `count` places of a session that count; what is `known` of as many is taken."""
+        """Of the first `count` entries of a session that count; what is `known` of as many is taken."""
         if session in known and known[session].count == count:
             return known[session]
         return SessionSums.of(rows.vectors[self._by_session[session][:count]])
@@ -193,7 +193,7 @@ def site_of_arrays(arrays: Mapping[str, NDArray[Any]], prefix: str) -> SiteStati
 
 
 def _sums_as_arrays(sums: Mapping[int, SessionSums], prefix: str) -> dict[str, NDArray[np.generic]]:
-    """Sums by session, of places enough, as arrays whose names begin with `prefix`: a row a session."""
+    """Sums by session, of entries enough, as arrays whose names begin with `prefix`: a row a session."""
     kept = {session: of for session, of in sums.items() if of.count >= _SUMS_STORED_FROM}
     return {
         f"{prefix}sessions": np.array(list(kept), dtype=np.int64),

@@ -1,4 +1,4 @@
-"""The descriptors that an index holds, in order of arrival, with the filter fields of their places."""
+"""The descriptors that an index holds, in order of arrival, with the filter fields of their entries."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from revisit.core.index.descriptors import Descriptors, Indices, SharedRows
-from revisit.core.index.places import Array, Flags, IndexEntry, SearchFilter, checked_vectors
+from revisit.core.index.entries import Array, Flags, IndexEntry, SearchFilter, checked_vectors
 
 SMALLEST_TO_COMPACT = 64
 """Fewer rows than this are not worth copying."""
 
 
 class Rows:
-    """Growing arrays, one row a place; the row of a removed place stays until most rows are of removed ones.
+    """Growing arrays, one row an entry; the row of a removed entry stays until most rows are of removed ones.
 
     Shared rows stay as they are: copying them would take more than it gives back (docs/decisions/0305).
     """
@@ -47,7 +47,7 @@ class Rows:
         return rows
 
     def append(self, entries: Sequence[IndexEntry], vectors: Array) -> None:
-        """Add places whose ids are new, with vectors (n, d) that were checked."""
+        """Add entries whose ids are new, with vectors (n, d) that were checked."""
         start, end = self.count, self.count + len(entries)
         self._reserve(end)
         self.vectors.put(start, vectors)
@@ -59,14 +59,14 @@ class Rows:
         self.count = end
 
     def drop(self, ids: Sequence[int]) -> Indices:
-        """Mark places as removed; their rows."""
+        """Mark entries as removed; their rows."""
         known = [identifier for identifier in dict.fromkeys(ids) if identifier in self.row_of]
         gone = np.array([self.row_of.pop(identifier) for identifier in known], dtype=np.intp)
         self.alive[gone] = False
         return gone
 
     def compact(self) -> Indices | None:
-        """Give the rows of removed places back once they are most of this process's own; the shared ones stay.
+        """Give the rows of removed entries back once they are most of this process's own; the shared ones stay.
 
         Where rows have new numbers now: the row that each had before.
         """
@@ -82,11 +82,11 @@ class Rows:
         return kept
 
     def live(self) -> NDArray[np.intp]:
-        """The rows of places that were not removed, in order."""
+        """The rows of entries that were not removed, in order."""
         return np.flatnonzero(self.alive[: self.count])
 
     def descriptors(self, chosen: Indices) -> Array:
-        """The descriptors of those rows; zeros for removed places. Raises RowDiffers."""
+        """The descriptors of those rows; zeros for removed entries. Raises RowDiffers."""
         lives = self.alive[chosen]
         if lives.all():
             return self.vectors[chosen]
@@ -119,11 +119,11 @@ class Rows:
         return passes
 
     def count_of(self, sessions: Collection[int]) -> int:
-        """How many places are of these sessions."""
+        """How many entries are of these sessions."""
         return int(np.count_nonzero(self.alive[: self.count] & self._are_of(sessions)))
 
     def ids_of(self, sessions: Collection[int]) -> NDArray[np.int64]:
-        """The ids of the places of these sessions."""
+        """The ids of the entries of these sessions."""
         return self.ids[np.flatnonzero(self.alive[: self.count] & self._are_of(sessions))]
 
     def _are_of(self, sessions: Collection[int]) -> Flags:

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from revisit.core.descriptor.adaptation import SiteStatistics
+from revisit.core.index.entries import Array, Flags, SearchFilter
 from revisit.core.index.exact import asked, standardised
 from revisit.core.index.learning import site_as_arrays, site_of_arrays
-from revisit.core.index.places import Array, Flags, SearchFilter
 from revisit.core.index.rows import Rows
 
 Indices = NDArray[np.intp]
@@ -82,7 +82,7 @@ class CodedShortlist:
     """
 
     def __init__(self, dimension: int, site: SiteStatistics | None, learned_at: int) -> None:
-        """Codes that are not learned yet: see `learned` and `restored`. `learned_at`: of how many places."""
+        """Codes that are not learned yet: see `learned` and `restored`. `learned_at`: of how many entries."""
         self.learned_at = learned_at
         self._site = site
         self._faiss: Any = faiss.IndexPQFastScan(

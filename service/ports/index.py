@@ -88,8 +88,8 @@ class IndexAudit(Protocol):
         """`seq`, and the numbers of the submaps that it holds as of that change."""
         ...
 
-    def differing(self, map_number: int, places: Sequence[IndexChange]) -> list[int]:
-        """The numbers of those `places`, which have vectors, that it does not hold exactly so."""
+    def differing(self, map_number: int, entries: Sequence[IndexChange]) -> list[int]:
+        """The numbers of those `entries`, which have vectors, that it does not hold exactly so."""
         ...
 
 

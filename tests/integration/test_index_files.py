@@ -53,7 +53,7 @@ class Process:
     @property
     def own_rows(self) -> int:
         """Descriptors in the process's own memory."""
-        return self.context.index._maps[self.map.number].places.own_rows
+        return self.context.index._maps[self.map.number].entries.own_rows
 
     def saved(self) -> int:
         """How many files its keeper writes."""
@@ -75,7 +75,7 @@ class Process:
 
     def descriptor(self, submap_id: str) -> bytes:
         """As the index holds it."""
-        rows = self.context.index._maps[self.map.number].places._rows
+        rows = self.context.index._maps[self.map.number].entries._rows
         return rows.vectors.as_held(rows.row_of[self.row(submap_id).number]).tobytes()
 
 

@@ -123,7 +123,7 @@ async def test_a_few_maps_at_a_time_each_gets_its_turn(context, keeper, monkeypa
 
 def inner(context) -> FaissIndex:
     """The innermost structure of the map's index."""
-    return context.index._maps[map_of(context).number].places
+    return context.index._maps[map_of(context).number].entries
 
 
 def flip_a_bit(vectors, rng, row) -> None:

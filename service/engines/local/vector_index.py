@@ -29,7 +29,7 @@ MakeIndex = Callable[[int], "PlaceIndex"]
 
 
 SAVED_FROM = 4096
-"""Places from which a map has a file, and that must have come for another one: below, 16 MB are soon read."""
+"""Entries from which a map has a file, and that must have come for another one: below, 16 MB are soon read."""
 
 TRACES_KEPT_S = 600.0
 """Delay after which a file drops the rest of a removed entry (id, position, code, sums); its descriptor goes at once.
@@ -47,7 +47,7 @@ class _MapIndex:
 
     seq: int = 0
     dimension: int = 0
-    places: PlaceIndex | None = None
+    entries: PlaceIndex | None = None
     file: str | None = None
     codes_learned_at: int = 0  # in the file
     erased_at_s: float | None = None  # when something of the file was first removed
@@ -55,7 +55,7 @@ class _MapIndex:
 
     def forget(self) -> None:
         """Begin anew; `lock` is held."""
-        self.seq, self.places, self.file, self.codes_learned_at, self.erased_at_s = 0, None, None, 0, None
+        self.seq, self.entries, self.file, self.codes_learned_at, self.erased_at_s = 0, None, None, 0, None
 
 
 class PlaceVectorIndex:
@@ -66,7 +66,7 @@ class PlaceVectorIndex:
     ) -> None:
         """`make_index` gives an empty index of `core.index`, exact or FAISS.
 
-        Maps are loaded from `files`, if given. The one process that writes them does so `saved_from` places on.
+        Maps are loaded from `files`, if given. The one process that writes them does so `saved_from` entries on.
         """
         self._make_index = make_index
         self._files = files
@@ -102,13 +102,13 @@ class PlaceVectorIndex:
         """See `VectorIndex`."""
         index = self._of(map_number)
         with index.lock:
-            if index.places is None or not len(index.places):
+            if index.entries is None or not len(index.entries):
                 return []
             if vector.shape != (index.dimension,):
                 raise BadField(f"a descriptor of this map has {index.dimension} values", field="descriptor")
             matches: list[Match] = []
             with self._mended(map_number, index):
-                matches = index.places.search(vector, k, _search_filter(where))
+                matches = index.entries.search(vector, k, _search_filter(where))
         return [VectorMatch(match.id, match.similarity) for match in matches]
 
     def size(self, map_number: int, sessions: Collection[int] | None = None) -> int:
@@ -117,7 +117,7 @@ class PlaceVectorIndex:
         if sessions is None:
             return _size(index)
         with index.lock:
-            return 0 if index.places is None else index.places.count_of(sessions)
+            return 0 if index.entries is None else index.entries.count_of(sessions)
 
     def drop(self, map_number: int) -> None:
         """See `VectorIndex`."""
@@ -133,32 +133,32 @@ class PlaceVectorIndex:
         index = self._of(map_number)
         with index.lock:
             held = np.zeros(0, np.int64)
-            if index.places is not None:
+            if index.entries is not None:
                 with self._mended(map_number, index):
-                    held = index.places.ids()
+                    held = index.entries.ids()
             return index.seq, held
 
-    def differing(self, map_number: int, places: Sequence[IndexChange]) -> list[int]:
+    def differing(self, map_number: int, entries: Sequence[IndexChange]) -> list[int]:
         """See `VectorIndex`."""
         index = self._of(map_number)
         with index.lock:
-            if index.places is None:
-                return [place.submap_number for place in places]
-            differing = [place.submap_number for place in places]
+            if index.entries is None:
+                return [place.submap_number for place in entries]
+            differing = [place.submap_number for place in entries]
             with self._mended(map_number, index):
-                differing = index.places.differing(*_entries(places, index.dimension)) if places else []
+                differing = index.entries.differing(*_entries(entries, index.dimension)) if entries else []
         return differing
 
     def save(self, map_number: int) -> str | None:
         """See `SharedIndex`."""
         index, stored = self._of(map_number), None
         with index.lock:
-            places = index.places
-            if self._files is None or not isinstance(places, _faiss_index()) or not self._is_due(index, places):
+            entries = index.entries
+            if self._files is None or not isinstance(entries, _faiss_index()) or not self._is_due(index, entries):
                 return None
             seq = index.seq
             with self._mended(map_number, index):
-                stored = places.stored()
+                stored = entries.stored()
         try:
             return None if stored is None else self._files.write(seq, stored)
         except (OSError, _row_differs()) as error:
@@ -175,11 +175,11 @@ class PlaceVectorIndex:
         if opened is None:
             self._distrusted.add(name)
             return False
-        places = FaissIndex.restored(SharedRows(opened.arrays["ids"], opened.vectors, opened.marks), opened.arrays)
+        entries = FaissIndex.restored(SharedRows(opened.arrays["ids"], opened.vectors, opened.marks), opened.arrays)
         index = self._of(map_number)
         with index.lock:
-            index.seq, index.dimension, index.places, index.file = opened.seq, opened.vectors.shape[1], places, name
-            index.codes_learned_at, index.erased_at_s = places.codes_learned_at, None
+            index.seq, index.dimension, index.entries, index.file = opened.seq, opened.vectors.shape[1], entries, name
+            index.codes_learned_at, index.erased_at_s = entries.codes_learned_at, None
         return True
 
     def large(self) -> list[int]:
@@ -194,24 +194,24 @@ class PlaceVectorIndex:
         if self._files is not None and self._saved_from is not None:
             self._files.keep(names)
 
-    def _is_due(self, index: _MapIndex, places: FaissIndex) -> bool:
+    def _is_due(self, index: _MapIndex, entries: FaissIndex) -> bool:
         """Whether a file would spare other processes much, or the one there is holds traces for too long."""
-        if self._saved_from is None or not len(places):
+        if self._saved_from is None or not len(entries):
             return False
         if index.erased_at_s is not None and time.monotonic() - index.erased_at_s >= self._traces_kept_s:
             return True
-        if len(places) < self._saved_from:
+        if len(entries) < self._saved_from:
             return False
-        if index.file is None or index.codes_learned_at != places.codes_learned_at:
+        if index.file is None or index.codes_learned_at != entries.codes_learned_at:
             return True
-        return places.own_rows >= max(self._saved_from, int(_OWN_SHARE * len(places)))
+        return entries.own_rows >= max(self._saved_from, int(_OWN_SHARE * len(entries)))
 
     def _erase(self, index: _MapIndex, numbers: list[int]) -> None:
         """Take the bytes of removed entries out of the file, or the file away."""
-        places, files, name = index.places, self._files, index.file
-        if files is None or name is None or not isinstance(places, _faiss_index()):
+        entries, files, name = index.entries, self._files, index.file
+        if files is None or name is None or not isinstance(entries, _faiss_index()):
             return
-        rows = places.shared_of(numbers)
+        rows = entries.shared_of(numbers)
         if self._saved_from is None or not len(rows):
             return
         if index.erased_at_s is None:
@@ -250,27 +250,27 @@ class PlaceVectorIndex:
         return not self._files.exists(index.file)
 
     def _remove(self, index: _MapIndex, numbers: list[int]) -> None:
-        if index.places is not None:
+        if index.entries is not None:
             self._erase(index, numbers)
-            index.places.remove(numbers)
+            index.entries.remove(numbers)
 
     def _add(self, index: _MapIndex, changes: list[IndexChange], more: bool) -> None:
-        if index.places is None:
+        if index.entries is None:
             if not changes:
                 return
             index.dimension = len(changes[0].vector or b"") // 4
-            index.places = self._make_index(index.dimension)
+            index.entries = self._make_index(index.dimension)
         # Also where none came: with the last portion the index gets fast.
-        index.places.add(*_entries(changes, index.dimension), more=more)
+        index.entries.add(*_entries(changes, index.dimension), more=more)
 
 
 def _ids_of(index: _MapIndex, sessions: Collection[int]) -> list[int]:
     """The submaps of these sessions that it holds."""
-    return [] if index.places is None or not sessions else index.places.ids_of(sessions).tolist()
+    return [] if index.entries is None or not sessions else index.entries.ids_of(sessions).tolist()
 
 
 def _size(index: _MapIndex) -> int:
-    return 0 if index.places is None else len(index.places)
+    return 0 if index.entries is None else len(index.entries)
 
 
 def _faiss_index() -> type[FaissIndex]:

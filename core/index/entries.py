@@ -1,4 +1,4 @@
-"""The records, queries and contract of an index of places (paper III-E, Eq. 15)."""
+"""The records, queries and contract of the place index (paper III-E, Eq. 15)."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ MAX_K = 1000
 
 @dataclass(frozen=True)
 class IndexEntry:
-    """A stored place for filters: its id, session, ordinal in the session and position (3,) metres."""
+    """A stored entry for filters: its id, session, ordinal in the session and position (3,) metres."""
 
     id: int
     session: int
@@ -29,10 +29,10 @@ class IndexEntry:
 
 @dataclass(frozen=True)
 class SearchFilter:
-    """Which places may be found; every condition that is given must hold.
+    """Which entries may be found; every condition that is given must hold.
 
-    only_sessions: places of these sessions alone. of_session: that of the query, which decides how its descriptor is
-    standardised and leaves out no place. position (3,) and radius_m: only places at most that far away. without: none
+    only_sessions: entries of these sessions alone. of_session: that of the query, which decides how its descriptor is
+    standardised and leaves out no entry. position (3,) and radius_m: only entries at most that far away. without: none
     of these ids. allowed: only these ids.
     """
 
@@ -48,17 +48,17 @@ class SearchFilter:
 
 @dataclass(frozen=True)
 class Match:
-    """A found place and its cosine similarity."""
+    """A found entry and its cosine similarity."""
 
     id: int
     similarity: float
 
 
 class PlaceIndex(Protocol):
-    """Descriptors of places with their metadata; similarities are cosines of descriptors standardised by the map.
+    """Descriptors of entries with their metadata; similarities are cosines of descriptors standardised by the map.
 
     How they are standardised is in `core.descriptor.adaptation` (docs/decisions/0120): what is answered depends only on
-    the places that are held and on the order in which they came. A query takes the mean of the session that
+    the entries that are held and on the order in which they came. A query takes the mean of the session that
     `SearchFilter.of_session` names, else the map's.
     """
 
@@ -70,29 +70,29 @@ class PlaceIndex(Protocol):
         """
 
     def remove(self, ids: Sequence[int]) -> None:
-        """Forget places; unknown ids are ignored."""
+        """Forget entries; unknown ids are ignored."""
 
     def search(self, vector: Array, k: int, only: SearchFilter = ...) -> list[Match]:
-        """At most min(k, 1000) places by falling similarity, ties by id. k < 1 or an unusable vector: BadField."""
+        """At most min(k, 1000) entries by falling similarity, ties by id. k < 1 or an unusable vector: BadField."""
 
     def __len__(self) -> int:
-        """How many places are stored."""
+        """How many entries are stored."""
 
     def count_of(self, sessions: Collection[int]) -> int:
         """How many of them are of these sessions."""
 
     def ids_of(self, sessions: Collection[int]) -> NDArray[np.int64]:
-        """The ids of the places of these sessions."""
+        """The ids of the entries of these sessions."""
 
     def ids(self) -> NDArray[np.int64]:
-        """The ids of the places that a search compares with."""
+        """The ids of the entries that a search compares with."""
 
     def differing(self, entries: Sequence[IndexEntry], vectors: Array) -> list[int]:
         """The ids of those `entries` that are not stored as `add` would store them, bit for bit. Raises BadField."""
 
 
 def ranked(ids: NDArray[np.int64], similarities: Array, k: int) -> list[Match]:
-    """The k best of the places `ids` (n,) with `similarities` (n,), ties by id."""
+    """The k best of the entries `ids` (n,) with `similarities` (n,), ties by id."""
     if len(ids) > 4 * k:
         kth = np.partition(similarities, len(ids) - k)[len(ids) - k]
         ids, similarities = ids[similarities >= kth], similarities[similarities >= kth]
