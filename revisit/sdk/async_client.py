@@ -135,5 +135,5 @@ class AwaitedStream:
         self.flush = threads.awaited(stream.flush)
 
     def __getattr__(self, name: str) -> Any:
-        """What the stream says of itself."""
+        """The state of the stream."""
         return getattr(self._stream, name)

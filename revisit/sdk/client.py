@@ -201,7 +201,7 @@ class Client:
         """A stream by way of the file `spool` on this machine's disk; needs no connection to be opened.
 
         `send` returns once the scan is on that disk; a full spool refuses it after `full_wait_s` with
-        `SpoolFull`. On leaving, what was not acknowledged stays in the file, for the next stream on it.
+        `SpoolFull`. On leaving, unacknowledged scans stay in the file, for the next stream on it.
 
         `prepare` is called in the sending thread before the first connection, again after a retryable error: a robot
         that starts without a link creates its session there. `on_delay`: see `stream`.
@@ -219,7 +219,7 @@ class Client:
     def stream(self, session: str | Session, *, on_delay: OnDelay | None = None) -> Iterator[ScanStream]:
         """A stream of scans; on leaving, every scan was answered. Resumes by itself after a disconnect.
 
-        It keeps what is not acknowledged in memory; `spooled_stream` keeps it on disk. Over gRPC it waits where the
+        It keeps unacknowledged scans in memory; `spooled_stream` keeps them on disk. Over gRPC it waits where the
         service takes no scan now (a full quota, busy workers): `on_delay` is then called with reason and message.
         """
         stream = ScanStream(self._transport.open_stream(name_of(session, names.SESSION), Forgetful(on_delay)))
@@ -264,7 +264,7 @@ class Client:
         return CorrectionWatch(self._transport, request_of(mapping_pb2.WatchCorrectionsRequest, fields))
 
     def status(self) -> Status:
-        """What the service is doing."""
+        """The state of the service."""
         return Status.of(self._transport.call("GetStatus", system_pb2.GetStatusRequest()))
 
     def call(self, name: str, **fields: Any) -> Any:

@@ -28,8 +28,8 @@ def encoded(points: PointsLike) -> Cloud:
     """A cloud for the wire: (n, 3) metres or (n, 4) with intensity, quantised to 1 mm: a seventh to a quarter of
     the bytes.
 
-    What cannot be quantised (non-finite numbers, beyond 10 km, negative intensity) goes as npy, so that the service
-    decides about it.
+    Clouds that cannot be quantised (non-finite numbers, beyond 10 km, negative intensity) go as npy, so that the
+    service decides about it.
     """
     if isinstance(points, Cloud):
         return points

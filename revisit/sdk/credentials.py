@@ -1,4 +1,4 @@
-"""What a client shows to the service, and how it checks whom it talks to."""
+"""A client's credentials, and its check of the service's certificate."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class Credentials:
 
     @classmethod
     def given(cls, api_key: str | None = None, ca: str | Path | None = None) -> Self:
-        """What is given, else $REVISIT_API_KEY and $REVISIT_CA; $REVISIT_CERTIFICATE with $REVISIT_CERTIFICATE_KEY."""
+        """Given, else $REVISIT_API_KEY and $REVISIT_CA; $REVISIT_CERTIFICATE with $REVISIT_CERTIFICATE_KEY."""
         path = {name: os.environ.get(f"REVISIT_{name}") for name in ("CA", "CERTIFICATE", "CERTIFICATE_KEY")}
         files = {name: Path(value) if value else None for name, value in path.items()}
         return cls(

@@ -1,4 +1,4 @@
-"""What the service refuses, as exceptions: one class per canonical code, with the reason of the error table."""
+"""Refusals of the service as exceptions: one class per canonical code, with the reason of the error table."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class ErrorDetails:
-    """What an error answer says."""
+    """The content of an error answer."""
 
     code: str
     reason: str
@@ -98,7 +98,7 @@ _SIGNS = (
     ("Misformatted domain name", "the address of gRPC is host:port, without http://, e.g. 127.0.0.1:8090"),
     ("WRONG_VERSION_NUMBER", "no TLS is spoken there: write http:// for REST, and gRPC without grpcs://"),
 )
-"""What libraries say of an address that is not the service's, and what is to be done."""
+"""Libraries' words for an address that is not the service's, and the advice."""
 
 
 _DISTRUST = (
@@ -108,7 +108,7 @@ _DISTRUST = (
     ("certificate is not yet valid", "is not valid yet: set the clock of this machine"),
     ("CERTIFICATE_VERIFY_FAILED", "is signed by an unknown authority; set REVISIT_CA to its file"),
 )
-"""What libraries say of a certificate that is not trusted, and what is wrong with it."""
+"""Libraries' words for an untrusted certificate, and its defect."""
 
 
 def error_of(details: ErrorDetails) -> ApiError:
@@ -117,7 +117,7 @@ def error_of(details: ErrorDetails) -> ApiError:
 
 
 def unreachable(address: str, cause: object) -> Unavailable:
-    """The service did not answer at all; the message says what to try."""
+    """The service did not answer at all; the message has advice."""
     text = str(cause).rstrip(".")
     distrust = next((wrong for sign, wrong in _DISTRUST if sign in text), None)
     advice = next((advice for sign, advice in _SIGNS if sign in text), "is it running? `revisit serve` starts it")

@@ -1,4 +1,6 @@
-"""Why a submap has no loop with another one: which gate stopped each near miss, and what would have passed it."""
+"""Why a submap has no loop with another one: the gate that stopped each near miss, and the value that would have passed
+it.
+"""
 
 from __future__ import annotations
 
@@ -67,7 +69,7 @@ class NearMiss:
 
     @property
     def remedy(self) -> str:
-        """What would have passed the gate, in words."""
+        """The value that would have passed the gate, in words."""
         if self.gate == TOO_NEAR:
             return f"{self.rule} below {self.threshold:g}, or a way that comes back to it"
         if self.rule is None or self.measured is None:
@@ -97,7 +99,7 @@ def _loops_of(client: Lookups, map_: Map, submap: Submap, hits: list[SearchHit])
 def _near_miss(
     client: Lookups, map_: Map, rank: int | None, hit: SearchHit, loops: Mapping[str, LoopClosure]
 ) -> NearMiss | None:
-    """What stopped one hit, None where nothing did; `loops` are those of the submap with all hits.
+    """The gate that stopped one hit, None where none did; `loops` are those of the submap with all hits.
 
     `rank`: which of those that may be loops it is, the most similar first; None where it may be none.
     """

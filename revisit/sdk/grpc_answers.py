@@ -1,7 +1,7 @@
 """Waiting for gRPC, but not for ever.
 
-With gRPC 1.85, the end of a call is sometimes lost whose connection was made while its service ended: whoever reads it
-waits for ever, past its deadline and past `cancel()`. So answers are waited for with a limit of our own.
+With gRPC 1.85, the end of a call is sometimes lost if its connection was made while its service ended: the reader waits
+for ever, past its deadline and past `cancel()`. So answers are waited for with a limit of our own.
 """
 
 from __future__ import annotations

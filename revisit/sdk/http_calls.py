@@ -1,8 +1,8 @@
 """Calls over HTTP that are answered in one piece, on connections that stay open.
 
-`httpx.Client` makes URL, headers, cookies, authentication and redirects anew for each call, which is a third of what a
-short call costs its client (docs/decisions/0221). The service has none of the last three, so the calls go to the
-client's own transport at once; its answers and errors are the same.
+`httpx.Client` makes URL, headers, cookies, authentication and redirects anew for each call, a third of the client's
+cost of a short call (docs/decisions/0221). The service has none of the last three, so the calls go to the client's own
+transport at once; its answers and errors are the same.
 """
 
 from __future__ import annotations

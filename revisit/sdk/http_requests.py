@@ -44,7 +44,7 @@ def http_request(call: Call, request: Any) -> HttpRequest:
 
 
 def cloud_arguments(cloud: cloud_pb2.Cloud, params: Json) -> Json:
-    """The arguments of a request whose body is a cloud."""
+    """The arguments of a request with a cloud as its body."""
     headers = {"content-type": cloud.encoded.content_type}
     return {"content": cloud.encoded.data, "params": params, "headers": headers}
 

@@ -25,7 +25,7 @@ KEPT_CLOUDS = 4
 
 
 class SuspiciousInput(UserWarning):
-    """What was sent is unlikely to be meant. It was sent all the same."""
+    """Likely mistakes in the data. They are sent all the same."""
 
 
 class InputWatch:
@@ -42,7 +42,7 @@ class InputWatch:
         self._warned: set[str] = set()
 
     def look(self, points: PointsLike, T_odom_sensor: Any, stamp_ns: int) -> None:
-        """Take notice of a scan. Raises nothing: what cannot be used is for the service to refuse, and is told of."""
+        """Take notice of a scan. Raises nothing: the service refuses unusable scans, with a warning here."""
         self._count += 1
         due = self._count in FIRST_LOOKS or self._count % LOOK_EVERY == 0
         with contextlib.suppress(RevisitError, ValueError, TypeError, IndexError):
@@ -79,12 +79,12 @@ class InputWatch:
 
 
 def warn_of_session(findings: tuple[SessionFinding, ...]) -> None:
-    """Tell what the service has found in a session."""
+    """Warn of the service's findings in a session."""
     for finding in findings:
         warn(finding.code, f"in {finding.submaps} submaps", finding.cause, finding.advice)
 
 
 def warn(code: str, measured: str, cause: str, advice: str) -> None:
-    """One warning: what was measured, its likely cause, what to do."""
+    """One warning: measurement, likely cause, advice."""
     text = f"{code}: {measured}. Likely cause: {cause}. {advice[:1].upper()}{advice[1:]}."
     warnings.warn(text, SuspiciousInput, stacklevel=4)

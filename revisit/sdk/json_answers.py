@@ -1,7 +1,7 @@
 """Answers over REST as messages: ProtoJSON to the fields that a message is made of, by the message's own constructor.
 
-`google.protobuf.json_format` reads value by value in Python, which was a third of what a search costs its client. It is
-still the reference, and reads whatever is not as the service writes it; a test compares the two.
+`google.protobuf.json_format` reads value by value in Python, a third of the client's cost of a search. It is still the
+reference, and reads JSON of any other form; a test compares the two.
 """
 
 from __future__ import annotations
@@ -25,9 +25,9 @@ Read = Callable[[Any], Any]
 
 
 def message_of(kind: type[M], answer: Any) -> M:
-    """The message of this `kind` whose JSON is `answer`; fields of a newer service are ignored.
+    """The message of this `kind` from its JSON `answer`; fields of a newer service are ignored.
 
-    Raises ValueError or ParseError for what is no such message.
+    Raises ValueError or ParseError for any other JSON.
     """
     if not isinstance(answer, dict):
         raise ValueError(f"a message is an object in JSON, not {type(answer).__name__}")
@@ -48,7 +48,7 @@ def _fields(descriptor: Descriptor, answer: Mapping[str, Any]) -> dict[str, Any]
 
 @cache
 def _readers(descriptor: Descriptor) -> dict[str, Read | None]:
-    """By the name of a field; None for what the constructor takes as it is."""
+    """By the name of a field; None for a value that the constructor takes as it is."""
     return {field.name: _reader(field) for field in descriptor.fields}
 
 

@@ -1,4 +1,4 @@
-"""Downloading a map file over a link that breaks: what has come is kept, and the next attempt asks for the rest."""
+"""Downloading a map file over a link that breaks: received bytes are kept, and the next attempt asks for the rest."""
 
 from __future__ import annotations
 

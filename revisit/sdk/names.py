@@ -1,4 +1,4 @@
-"""Names of resources: what a caller writes, as the service has it."""
+"""Names of resources: a caller's short form as the service's full name."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the service answers, as frozen dataclasses made from the messages that both transports give."""
+"""Answers of the service as frozen dataclasses, made from the messages of both transports."""
 
 from __future__ import annotations
 
@@ -107,7 +107,7 @@ class Robot(Resource):
 
 @dataclass(frozen=True)
 class Finding(Resource):
-    """Something about scans that is unlikely to be meant, in so many submaps: its likely cause, and what to do."""
+    """A likely mistake in the scans of a number of submaps: its likely cause, and advice."""
 
     code: str
     submaps: int
@@ -127,7 +127,7 @@ class NoLoops(Resource):
 class Session(Resource):
     """A session; `committed_seq` is the last scan that is stored durably, 0 for none, taken at `committed_stamp_ns`.
 
-    `findings` say what is unlikely to be meant about its scans so far; `no_loops` why it has no accepted loop, once it
+    `findings` are likely mistakes in its scans so far; `no_loops` says why it has no accepted loop, once it
     is finished and described. Neither is in lists of sessions. `storey` is None where nobody said it.
     """
 
@@ -283,7 +283,7 @@ class KeypointPlan(Resource):
 
 @dataclass(frozen=True)
 class LoopKeypoints(Resource):
-    """What was compared for a loop closure, as the method saw both submaps from above.
+    """The compared keypoints of a loop closure: both submaps from above.
 
     pairs (p, 2): rows of the keypoints of query and match that look alike, the most alike first; agrees (p,): whether
     the pose of the loop closure brings them together.
@@ -297,7 +297,7 @@ class LoopKeypoints(Resource):
 
 @dataclass(frozen=True)
 class LoopClosureEvent(Resource):
-    """A change of a loop closure: its state from then on, who made it, and why.
+    """A change of a loop closure: its new state, the actor and the reason.
 
     `details` holds thresholds and model version of a verdict, or the squared distance from the poses of a version.
     """
@@ -332,7 +332,7 @@ class MapChange(Resource):
 class MapMerge(Resource):
     """A merge into a map: `source` was copied as `sessions`, version `version_before` became `version`.
 
-    `report` has alignment and evidence; `changes` are what vanished since the map was made, and what appeared;
+    `report` has alignment and evidence; `changes` are vanished and new things since the map was made;
     `reverted_at_ns` is there once it was taken back.
     """
 
@@ -349,7 +349,7 @@ class MapMerge(Resource):
 
 @dataclass(frozen=True)
 class MapVersion(Resource):
-    """A version of a map's poses. `summary` says what it rests on; `restored_from` is None where it was optimised."""
+    """A version of a map's poses. `summary` is its evidence; `restored_from` is None where it was optimised."""
 
     name: str
     version: int
@@ -418,7 +418,7 @@ class MapFile(Resource):
 
 @dataclass(frozen=True)
 class RefusedJoin(Resource):
-    """Sessions, by name on both sides, that `loops` would join and whose surfaces contradict it.
+    """Sessions, by name on both sides, that `loops` would join and their surfaces keep apart.
 
     reason: OVERLAP_TOO_SMALL, SURFACES_DISAGREE or FREE_SPACE_VIOLATED; residual_m, median distance of the common
     points from the other surface, metres, None without any; seen_through_share of the points, 0 to 1, stand where the
@@ -436,11 +436,11 @@ class RefusedJoin(Resource):
 
 @dataclass(frozen=True)
 class MapVersionSummary(Resource):
-    """What a version of a map rests on.
+    """The evidence of a version of a map.
 
     `frames` counts the groups of sessions that loops join; chi2 is to be compared with `degrees_of_freedom`; changes
     are how far submaps lie from where the version before had them, metres, None where none can be compared;
-    `refused_joins` are what surfaces kept apart.
+    `refused_joins` are sessions that surfaces kept apart.
     """
 
     sessions: int
@@ -491,7 +491,7 @@ class Correction(Resource):
 class Event(Resource):
     """Something that happened in a map: `kind` LOOP_CLOSURE, OPERATION or MAP_VERSION, with it as it stands by now.
 
-    FORGOTTEN says that earlier events were asked for and are no longer kept: list again what is of interest.
+    FORGOTTEN: earlier events were asked for and are no longer kept; list the resources of interest again.
     """
 
     number: int
@@ -536,7 +536,7 @@ class WebhookDelivery(Resource):
 
 @dataclass(frozen=True)
 class Status(Resource):
-    """What the service is doing."""
+    """The state of the service."""
 
     version: str
     model_version: str | None

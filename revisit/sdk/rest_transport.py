@@ -197,7 +197,7 @@ class RestScanSink:
 
 
 def _is_for_good(error: ApiError) -> bool:
-    """Whether a scan is refused for what it is."""
+    """Whether a scan is refused for its content."""
     return error.code == "INVALID_ARGUMENT" or error.reason == "TOO_LARGE"
 
 

@@ -1,4 +1,4 @@
-"""Repeat what is retryable, after full-jitter pauses. Safe for every call: creates carry client-chosen ids."""
+"""Repeat retryable calls, after full-jitter pauses. Safe for every call: creates carry client-chosen ids."""
 
 from __future__ import annotations
 

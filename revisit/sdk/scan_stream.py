@@ -144,7 +144,7 @@ class GrpcScanSink:
             self._transmit()
 
     def _transmit(self) -> None:
-        """Send what the credits allow; with the lock held."""
+        """Send scans up to the credits; with the lock held."""
         if not self._open:
             return
         if self._resend_at is not None:
@@ -250,7 +250,7 @@ class GrpcScanSink:
             self.refusals.append(Refusal(nack.seq, nack.reason, nack.message))
         else:
             self._journal.delayed(nack.reason, nack.message)
-        # What was sent behind the refused scan is refused for the gap; it is sent again once that is answered.
+        # Scans behind the refused one are refused for the gap; they are sent again once that is answered.
         self._resend_at = max(self._resend_at or 0.0, time.monotonic())
 
     def _was_open(self) -> bool:

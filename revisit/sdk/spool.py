@@ -1,8 +1,8 @@
 """A robot's scans on its own disk until the service has them: one SQLite file for one session.
 
-What `append` returned for survives a power cut of the robot. A scan leaves the file when the service has acknowledged
-it, or has refused it for good: then its number, time, pose and reason stay as a dead letter (its cloud is of no more
-use, for no later scan of the session could take its place).
+A scan survives a power cut of the robot once `append` has returned. A scan leaves the file when the service has
+acknowledged it, or has refused it for good: then its number, time, pose and reason stay as a dead letter (its cloud is
+of no more use, for no later scan of the session could take its place).
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from revisit.sdk.transport import OnDelay
 
 DEFAULT_MAX_BYTES = 4 * 2**30
 FORMAT = 1
-"""What `user_version` says of files that `_SCHEMA` made."""
+"""The `user_version` of files that `_SCHEMA` made."""
 
 _SCHEMA = """
 BEGIN IMMEDIATE;
@@ -87,7 +87,9 @@ class DeadLetter:
 
 @dataclass(frozen=True)
 class SpoolState:
-    """What a spool holds. `committed_seq` is None before the service was met; `last_stamp_ns` before the first scan."""
+    """The content of a spool. `committed_seq` is None before the service was met; `last_stamp_ns` before the first
+    scan.
+    """
 
     session: str
     committed_seq: int | None
@@ -119,7 +121,7 @@ class Spool:
 
     @property
     def state(self) -> SpoolState:
-        """What it holds now."""
+        """Its content now."""
         with self._changed, _translated():
             session, committed_seq, _, stamp_ns = self._stream()
             (dead,) = self._db.execute("SELECT count(*) FROM dead_letters").fetchone()
@@ -166,7 +168,7 @@ class Spool:
             self._changed.notify_all()
 
     def close(self) -> None:
-        """Give the file back; what it holds stays."""
+        """Close the file; its content stays."""
         with self._changed, _translated():
             self._db.close()
             os.close(self._lock_file)
@@ -181,7 +183,7 @@ class Spool:
         """See `revisit.sdk.transport.StreamJournal`. Raises SpoolDisagrees."""
         with self._changed, _translated():
             if self._stream()[1] is None:
-                # The first meeting: what the session has already did not come from here.
+                # The first meeting: scans that the session already has did not come from here.
                 with self._transaction():
                     self._db.execute("UPDATE stream SET committed_seq = ?", (committed_seq,))
             self.committed(committed_seq)
@@ -224,7 +226,7 @@ class Spool:
             self._count(-1, -freed_bytes)
 
     def _begin(self, session: str) -> None:
-        """Bind an empty spool to `session`; count what it holds."""
+        """Bind an empty spool to `session`; count its content."""
         query = "SELECT count(*), coalesce(sum(length(cloud)), 0), coalesce(max(id), 0) FROM scans"
         self._pending, self._pending_bytes, last_number = map(int, self._db.execute(query).fetchone())
         # SQLite would begin at 1 again once all scans were sent, and a connection that is open has seen those numbers.

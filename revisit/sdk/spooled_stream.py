@@ -25,9 +25,8 @@ RECONNECT = RetryPolicy(attempts=1, base_s=0.5, cap_s=30.0)
 class SpooledStream:
     """The stream of a session by way of a `Spool`.
 
-    `send` returns once the scan is on the robot's disk, connected or not. Leaving waits for nothing: what was not
-    acknowledged stays in the spool, and is sent when a stream is opened on it again. `send` and `flush` are for one
-    thread.
+    `send` returns once the scan is on the robot's disk, connected or not. Leaving waits for nothing: unacknowledged
+    scans stay in the spool, and are sent when a stream is opened on it again. `send` and `flush` are for one thread.
     """
 
     def __init__(
@@ -47,7 +46,7 @@ class SpooledStream:
 
     @property
     def state(self) -> SpoolState:
-        """What waits on the robot, and how far the service has come."""
+        """Waiting scans of the robot, and the last stored one of the service."""
         return self._spool.state
 
     @property
@@ -62,7 +61,7 @@ class SpooledStream:
 
     @property
     def refusals(self) -> list[Refusal]:
-        """The dead letters without what was in them."""
+        """The dead letters without their clouds."""
         return [Refusal(dead.seq, dead.reason, dead.message) for dead in self.dead_letters]
 
     @property
@@ -89,11 +88,11 @@ class SpooledStream:
         self._spool.append(encoded(points), pose_json(T_odom_sensor), stamp_ns, self._full_wait_s)
 
     def flush(self, timeout_s: float = float("inf")) -> None:
-        """Wait until the service has answered every scan. Raises what ended the sending; TimeoutError."""
+        """Wait until the service has answered every scan. Raises the error that ended the sending; TimeoutError."""
         self._sender.wait_until_empty(timeout_s)
 
     def close(self) -> None:
-        """Stop sending; what is in the spool stays there."""
+        """Stop sending; the scans in the spool stay there."""
         self._sender.close()
         self._spool.close()
 
@@ -109,7 +108,7 @@ class SpoolSender:
         reconnect: RetryPolicy,
         prepare: Callable[[], None] | None = None,
     ) -> None:
-        """Begins at once. `prepare` makes what the stream needs, before the first connection; it may raise ApiError."""
+        """Begins at once. `prepare` makes the session, before the first connection; it may raise ApiError."""
         self._prepare = prepare
         self._transport = transport
         self._session = session
@@ -129,7 +128,7 @@ class SpoolSender:
         return self._submaps + (sink.submaps if sink is not None else [])
 
     def wait_until_empty(self, timeout_s: float) -> None:
-        """Raises what ended the sending; TimeoutError."""
+        """Raises the error that ended the sending; TimeoutError."""
         deadline = time.monotonic() + timeout_s
         while not self._spool.wait_until_empty(min(POLL_S, max(0.0, deadline - time.monotonic()))):
             if self.error is not None:

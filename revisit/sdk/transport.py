@@ -1,4 +1,4 @@
-"""What a transport can do, in resource names and messages of `proto/revisit/v1`."""
+"""The operations of a transport, in resource names and messages of `proto/revisit/v1`."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ OnDelay = Callable[[str, str], None]
 
 
 class StreamJournal(Protocol):
-    """What a stream must not forget: told of every answer before the stream goes on. Calls come from one thread."""
+    """The journal of a stream: it gets every answer before the stream goes on. Calls come from one thread."""
 
     def resume_point(self) -> tuple[str, int]:
         """The token of the session as it was met, empty before, and the last scan known to be stored."""
@@ -81,7 +81,7 @@ class StreamJournal(Protocol):
 
 
 class Forgetful:
-    """`StreamJournal` of a stream whose scans live in memory alone; `on_delay` hears of delays."""
+    """`StreamJournal` of a stream with its scans in memory alone; `on_delay` gets delays."""
 
     def __init__(self, on_delay: OnDelay | None = None) -> None:
         self._on_delay = on_delay

@@ -26,7 +26,7 @@ class Watch:
     def __init__(
         self, transport: Transport, request: event_pb2.WatchEventsRequest, retry: RetryPolicy = RECONNECT
     ) -> None:
-        """`request` says what is watched, and behind which event."""
+        """`request` names the map, and the event to begin behind."""
         self._transport = transport
         self._request = request
         self._retry = retry
@@ -62,7 +62,7 @@ class Watch:
 
     def _noted(self, message: event_pb2.Event) -> Iterator[Event]:
         event = Event.of(message)
-        # Noted before it is given: whoever leaves the loop with it has had it.
+        # Noted before it is given: a caller that leaves the loop with it has had it.
         self._request.after = event.number
         if event.kind != "OPENED":
             yield event

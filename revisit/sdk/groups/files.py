@@ -23,7 +23,7 @@ class Files(Group):
         self._retry = retry
 
     def publish(self, version: str | Map | MapVersion, description: str = "") -> Operation:
-        """Make a file of a version: the operation, whose result names `map_file` and `map_hash`."""
+        """Make a file of a version: the operation; its result names `map_file` and `map_hash`."""
         parent = Versions(self._transport).name(version)
         return Operation.of(self._ask("PublishMapFile", parent=parent, map_descriptor=description))
 
@@ -44,7 +44,7 @@ class Files(Group):
         self._ask("DeleteMapFile", name=name_of(file, names.MAP_FILE))
 
     def download(self, file: str | MapFile, out: Path | str) -> MapFile:
-        """Download a file; what a download before has left in OUT.part is not sent again.
+        """Download a file; bytes of an earlier download in OUT.part are not sent again.
 
         Raises DataLoss where the bytes do not have the hash that the service names: then OUT.part is deleted.
         """

@@ -1,4 +1,4 @@
-"""What the groups of calls have in common: a call by the name of its RPC."""
+"""The base of the groups of calls: a call by the name of its RPC."""
 
 from __future__ import annotations
 

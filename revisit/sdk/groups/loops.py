@@ -48,7 +48,7 @@ class Loops(Group):
     def create(
         self, query: str | Submap, match: str | Submap, *, T_match_query: Any = None, note: str = ""
     ) -> Operation:
-        """Store a loop closure that a person has found: the operation that verifies it, whose subject is the loop.
+        """Store a loop closure that a person has found: the operation that verifies it, with the loop as subject.
 
         `T_match_query` (4, 4) is roughly how the two lie to each other: where registration starts.
         """
@@ -63,7 +63,7 @@ class Loops(Group):
         return Operation.of(proposed.operation)
 
     def accept(self, loop: str | LoopClosure, *, note: str = "") -> LoopClosure:
-        """Accept a loop closure whatever its verdict was; `note` says why."""
+        """Accept a loop closure of any verdict; `note` says why."""
         return LoopClosure.of(self._ask("AcceptLoopClosure", name=name_of(loop, names.LOOP_CLOSURE), note=note))
 
     def reject(self, loop: str | LoopClosure, *, note: str = "") -> LoopClosure:

@@ -56,7 +56,7 @@ class Maps(Group):
         self._ask("DeleteMap", name=name_of(map_, names.MAP))
 
     def optimise(self, map_: str | Map) -> Operation:
-        """Optimise the pose graph of a map: the operation whose end is a new version. One that waits is answered."""
+        """Optimise the pose graph of a map: the operation that makes a new version, or the waiting one."""
         return Operation.of(self._ask("OptimiseMap", name=name_of(map_, names.MAP)))
 
     def revert(self, map_: str | Map, version: int) -> MapVersion:
@@ -72,7 +72,7 @@ class Maps(Group):
         T_map_source: Any = None,
         radius_m: float | None = None,
     ) -> Operation:
-        """Merge `source`, another map or a session of it, into a map: the operation whose end is a new version.
+        """Merge `source`, another map or a session of it, into a map: the operation that makes a new version.
 
         Its result has `verdict` MERGED, REFUSED (with `refusal`) or, with `validate_only`, MERGEABLE, and alignment and
         evidence. `T_map_source` (4, 4) is roughly where the frame of the source lies in that of the map.
@@ -88,7 +88,7 @@ class Maps(Group):
         return Operation.of(asked)
 
     def merges(self, map_: str | Map) -> builtins.list[MapMerge]:
-        """The merges into a map, oldest first, with what changed between the days."""
+        """The merges into a map, oldest first, with the changes between the days."""
         return self._list(MapMerge, "ListMapMerges", parent=name_of(map_, names.MAP))
 
     def get_merge(self, name: str) -> MapMerge:

@@ -65,7 +65,7 @@ class Submaps(Group):
     ) -> builtins.list[SearchHit]:
         """The submaps most like a submap, a cloud or a descriptor (give one), most similar first.
 
-        `T_level_query` (4, 4): the pose of `points` in a frame whose z points up; its rotation turns them upright.
+        `T_level_query` (4, 4): the pose of `points` in a frame with z up; its rotation turns them upright.
 
         `criteria`: min_similarity, exclude_session, only_session (a session, its name or id), leave_distance_m,
         prior_position_m with radius_m (in the frame of only_session), storey (where a cloud or descriptor was taken:
@@ -105,7 +105,7 @@ class Submaps(Group):
     ) -> Localization:
         """Where in the map a cloud was taken; `best` is None where the place is unknown.
 
-        `T_level_query` (4, 4) is the cloud's pose in a frame whose z points up (from odometry or an IMU); its rotation
+        `T_level_query` (4, 4) is the cloud's pose in a frame with z up (from odometry or an IMU); its rotation
         turns the cloud upright. Without it the cloud's own surfaces tell the vertical, within 40 degrees of its z, or z
         does. `exclude_session` (a session, its name or id): a robot that asks with a place it has just posted finds its
         own submap else. `prior_position_m` is in the odometry frame of `only_session`, the only one that is searched.
