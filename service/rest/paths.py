@@ -4,14 +4,16 @@ from __future__ import annotations
 
 from revisit.api.calls import NAMED, Call
 
+VERSION_ID = "version_id"
+
 ID_NAMES = {
     "maps": "map_id",
     "robots": "robot_id",
     "sessions": "session_id",
     "submaps": "submap_id",
     "loopClosures": "loop_id",
-    "versions": "version_id",
-    "files": "version_id",
+    "versions": VERSION_ID,
+    "files": VERSION_ID,
     "merges": "merge_id",
     "tiles": "tile_id",
     "operations": "operation_id",

@@ -24,7 +24,7 @@ from revisit.core.errors import BadField
 from revisit.service.domain import limits
 from revisit.service.rest.bodies import parse_numbers
 from revisit.service.rest.parameters import POINT_HELP, POSE_HELP, Id
-from revisit.service.rest.paths import resource_in
+from revisit.service.rest.paths import VERSION_ID, resource_in
 from revisit.service.rest.request_fields import (
     BOUNDS,
     DEFAULTS,
@@ -34,6 +34,7 @@ from revisit.service.rest.request_fields import (
     TEXTS,
 )
 from revisit.service.rest.schemas import IN_DIGITS, Coordinate, Request, bounds, length
+from revisit.service.wire import names
 from revisit.service.wire.fields import descriptor_of
 from revisit.v1.comments import COMMENTS
 
@@ -84,9 +85,11 @@ class RequestForm:
 
     def message(self, values: Values, body: Request | None) -> Message:
         """The request of these values. Raises BadField."""
-        name = self.pattern
-        for each in self.ids:
-            name = name.replace("*", values[each], 1)
+        if VERSION_ID in self.ids:
+            # Errors name the version, not the name that the path becomes.
+            names.version_number(values[VERSION_ID])
+        ids = iter(self.ids)
+        name = "/".join(values[next(ids)] if part == "*" else part for part in self.pattern.split("/"))
         found: dict[str, Any] = {self.named: name} if self.named else {}
         sent = ((self.query, values.get), (self.body, partial(_attribute, body)))
         for spelled, value_of in sent:
@@ -235,7 +238,7 @@ def _point(name: str, value: str) -> dict[str, float]:
 
 def _points(value: list[float]) -> list[dict[str, float]]:
     if len(value) % 3:
-        raise BadField("points_m must hold x, y and z of every point", field="points_m")
+        raise BadField("points_m must hold x, y and z of each point", field="points_m")
     return [dict(zip("xyz", value[i : i + 3], strict=True)) for i in range(0, len(value), 3)]
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import threading
 
+import httpx
 import numpy as np
 import pytest
 
@@ -206,6 +207,17 @@ def test_what_is_no_version_is_refused(client, fleet):
         client.get_map_version(f"{fleet.name}/versions/first")
     with pytest.raises(NotFound):
         client.submap_poses(f"{fleet.name}/versions/7")
+
+
+@pytest.mark.parametrize("version", ["first", "-1", "9223372036854775808", "*"])
+def test_a_path_with_a_version_that_is_no_number_is_refused_by_the_name_of_the_version(service, fleet, version):
+    answer = httpx.get(f"{service.http}/v1/{fleet.name}/versions/{version}", trust_env=False)
+    assert (answer.status_code, answer.json()["reason"], answer.json()["field"]) == (422, "BAD_FIELD", "version")
+
+
+def test_an_asterisk_in_a_path_is_an_id_like_any_other(service, fleet):
+    answer = httpx.get(f"{service.http}/v1/maps/*/versions/1", trust_env=False)
+    assert (answer.status_code, answer.json()["reason"]) == (404, "NOT_FOUND")
 
 
 def test_a_deleted_session_is_gone_from_every_version(client, fleet):
