@@ -204,15 +204,15 @@ class _Gateway:
 
     def _grpc_server(self, use_cases: UseCases) -> tuple[grpc.aio.Server, int]:
         from revisit.service.grpc.server import CONNECTIONS, create_server
-        from revisit.service.grpc.strangers import Strangers
+        from revisit.service.grpc.unauthenticated_connections import UnauthenticatedConnections
 
-        strangers = Strangers()
+        unauthenticated = UnauthenticatedConnections()
         server = create_server(
             use_cases,
             requests=self._requests,
             tracer=self._tracer,
             described=not self._settings.exposed,
-            strangers=strangers,
+            unauthenticated=unauthenticated,
             connections=min(CONNECTIONS, self._open_files // 2),
         )
         host, port = self._settings.host, self._settings.grpc_port
@@ -221,7 +221,7 @@ class _Gateway:
             bound = server.add_insecure_port(address) if tls is None else server.add_secure_port(address, tls)
         except RuntimeError as error:
             raise OSError(f"port {port} for gRPC cannot be taken; REVISIT_GRPC_PORT names another") from error
-        self._lookout = asyncio.create_task(strangers.watch(bound), name="strangers")
+        self._lookout = asyncio.create_task(unauthenticated.watch(bound), name="unauthenticated-connections")
         return server, bound
 
 

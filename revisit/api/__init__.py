@@ -1,1 +1,1 @@
-"""What a client can say: the one list of calls, the scopes that they need, and their HTTP form."""
+"""The API: the one list of calls, their scopes, and their HTTP form."""

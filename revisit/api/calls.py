@@ -2,7 +2,7 @@
 
 The messages come from the descriptor of the RPC (`proto/revisit/v1`), the use case is the function of the same name in
 snake case (`Call.use`). The gRPC server registers from these rows, HTTP routes and OpenAPI are made from them, and the
-SDK calls by them. Nothing else says who may call.
+SDK calls by them. Scopes stand nowhere else.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ NAMED = re.compile(r"{(?P<field>name|parent)=(?P<pattern>[^}]+)}")
 
 
 class Cost(Enum):
-    """What a call holds while it is served."""
+    """Resources of a call while it is served."""
 
     SMALL = "a message of at most 64 KiB, for a moment"
     CLOUD = "a message as large as a cloud"
@@ -58,7 +58,7 @@ class Form(Enum):
 
 @dataclass(frozen=True)
 class Row:
-    """What the table says of a call: its scopes (a caller needs one), and how it is called over HTTP, if at all.
+    """A row of the table: the scopes of a call (a caller needs one), and its HTTP rule, if any.
 
     `http` is a method and a path as `google.api.http` writes them, `POST /v1/{name=maps/*/sessions/*}:finish`; `answer`
     is the field of the response that is the answer's body, "" for the whole response.
@@ -71,7 +71,7 @@ class Row:
     form: Form = Form.MESSAGE
     cost: Cost = Cost.SMALL
     json_bytes: int = 0
-    """The most that a JSON body may have; 0 for what is enough for all others."""
+    """The most that a JSON body may have; 0 for the common bound."""
     tag: str = ""
     """Groups calls in the description of the interface; "" for that of the service's other calls."""
 

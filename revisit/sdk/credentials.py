@@ -20,7 +20,7 @@ class Credentials:
 
     @classmethod
     def given(cls, api_key: str | None = None, ca: str | Path | None = None) -> Self:
-        """Given, else $REVISIT_API_KEY and $REVISIT_CA; $REVISIT_CERTIFICATE with $REVISIT_CERTIFICATE_KEY."""
+        """Arguments, else $REVISIT_API_KEY and $REVISIT_CA; $REVISIT_CERTIFICATE with $REVISIT_CERTIFICATE_KEY."""
         path = {name: os.environ.get(f"REVISIT_{name}") for name in ("CA", "CERTIFICATE", "CERTIFICATE_KEY")}
         files = {name: Path(value) if value else None for name, value in path.items()}
         return cls(

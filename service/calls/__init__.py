@@ -1,4 +1,4 @@
 """The functions that answer the calls, each named as its RPC: a request message to a use case, its view to fields.
 
-The rooms are those of the use cases. REST and gRPC both come here (`service.calls.uses`); what they add is bytes.
+The rooms are those of the use cases. REST and gRPC both come here (`service.calls.uses`); they add bytes only.
 """

@@ -21,7 +21,7 @@ from revisit.v1 import map_pb2, robot_pb2, session_pb2, submap_pb2
 
 
 async def create_map(cases: UseCases, tenant: TenantId, request: map_pb2.CreateMapRequest) -> Answer:
-    """What is absent is as the service is configured."""
+    """Absent fields are as the service is configured."""
     own = requests.present(request, "tau_m", "stride_m", "leave_distance_m", "scene_scale")
     policy = LoopPolicy(**requests.present(request.loop_policy, *(field.name for field in fields(LoopPolicy))))
     created = await cases.maps.create(
@@ -115,7 +115,7 @@ async def delete_submap(cases: UseCases, tenant: TenantId, request: submap_pb2.D
 async def download_submap(
     cases: UseCases, tenant: TenantId, request: submap_pb2.DownloadSubmapRequest
 ) -> AsyncIterator[Fields]:
-    """A file in chunks; the first one says what it is."""
+    """A file in chunks; the first one has its type."""
     key, what = names.submap_key(request.name), requests.download(request.format)
     with cases.budget.hold(tenant) as held:
         file = await cases.submaps.download(tenant, key, *what, room=held.wait_for)

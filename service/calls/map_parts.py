@@ -29,7 +29,7 @@ async def list_map_tiles(cases: UseCases, tenant: TenantId, request: map_tile_pb
 async def download_map_tile(
     cases: UseCases, tenant: TenantId, request: map_tile_pb2.DownloadMapTileRequest
 ) -> AsyncIterator[Fields]:
-    """A file in chunks; the first one says what it is."""
+    """A file in chunks; the first one has its type."""
     key, what = names.tile_key(request.name), requests.tile_download(request.format)
     await cases.map_tiles.make(tenant, key)
     with cases.budget.hold(tenant) as held:

@@ -1,4 +1,4 @@
-"""Operations, and what the service is doing."""
+"""Operations, and the state of the service."""
 
 from __future__ import annotations
 

@@ -56,7 +56,7 @@ class PaceLimits:
     most_wait_s: float = 3.0
     waiting: int = 640
     """Calls of all callers that wait; each holds a request or a call, but no slot yet."""
-    strangers_waiting: int = 160
+    unauthenticated_waiting: int = 160
     """As `waiting`, of callers that nobody knows: they keep no one else from waiting."""
 
 
@@ -88,12 +88,12 @@ class CallPace:
         self._sleep = sleep
         self._buckets: dict[tuple[str, ...], TokenBucket] = {}
         self._refused_until_s: dict[tuple[str, ...], float] = {}
-        self._callers, self._strangers = _Line(limits.waiting), _Line(limits.strangers_waiting)
+        self._callers, self._unauthenticated = _Line(limits.waiting), _Line(limits.unauthenticated_waiting)
 
     @property
     def waiting(self) -> int:
         """Calls that wait."""
-        return self._callers.length + self._strangers.length
+        return self._callers.length + self._unauthenticated.length
 
     async def turn(self, tenant: TenantId, client: str) -> None:
         """Return when a call of the tenant's client may begin. Raises RateLimited where too many wait."""
@@ -123,13 +123,13 @@ class CallPace:
     async def refusal(self, address: str) -> None:
         """Return when a caller that nobody knows may be told so; at once where too many wait."""
         try:
-            await self._wait(self._strangers, (self._bucket(("address", address), self._limits.refusals_per_s),))
+            await self._wait(self._unauthenticated, (self._bucket(("address", address), self._limits.refusals_per_s),))
         except RateLimited:
             return
 
     async def public(self, address: str) -> None:
         """Return when a call without a credential may begin. Raises RateLimited where too many wait."""
-        await self._wait(self._strangers, (self._bucket(("public", address), self._limits.public_calls_per_s),))
+        await self._wait(self._unauthenticated, (self._bucket(("public", address), self._limits.public_calls_per_s),))
 
     async def _wait(self, line: _Line, buckets: Iterable[TokenBucket]) -> None:
         """Spend a token of each bucket and wait until they are there; a call that is given up has spent them, too."""

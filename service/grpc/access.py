@@ -1,4 +1,4 @@
-"""Who may call which RPC, by the list of calls; and whether an open stream may go on."""
+"""Authorisation of RPCs by the list of calls; and of open streams, again and again."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from revisit.core.errors import RevisitError
 from revisit.service.domain.callers import enter
 from revisit.service.domain.errors import PermissionDenied, TooManyFailures, Unauthenticated
 from revisit.service.features.keys.admission import STREAM_RECHECK_S, Credential
-from revisit.service.grpc.strangers import Strangers
+from revisit.service.grpc.unauthenticated_connections import UnauthenticatedConnections
 from revisit.service.use_cases import UseCases
 
 
@@ -20,11 +20,17 @@ class Gate:
     """Admits calls, and watches over those that last."""
 
     def __init__(
-        self, use_cases: UseCases, strangers: Strangers | None = None, *, recheck_s: float = STREAM_RECHECK_S
+        self,
+        use_cases: UseCases,
+        unauthenticated: UnauthenticatedConnections | None = None,
+        *,
+        recheck_s: float = STREAM_RECHECK_S,
     ) -> None:
-        """Verifies the credential of an open stream again every `recheck_s` seconds; tells `strangers` who is none."""
+        """Verifies the credential of an open stream again every `recheck_s` seconds; tells `unauthenticated` of
+        admitted peers.
+        """
         self._access = use_cases.access
-        self._strangers = strangers or Strangers()
+        self._unauthenticated = unauthenticated or UnauthenticatedConnections()
         self._recheck_s = recheck_s
 
     async def admit(self, method: str, context: Any) -> None:
@@ -34,10 +40,10 @@ class Gate:
         """
         shown, peer = credential_of(context), str(context.peer())
         enter(await self._access.admit_call(shown, call_of(method).row.scopes, method))
-        self._strangers.admit(peer)
+        self._unauthenticated.admit(peer)
 
     async def verify(self, method: str, shown: Credential) -> None:
-        """As `admit`, again, for what the caller of an open stream has shown."""
+        """As `admit`, again, for the credential of an open stream."""
         enter(await self._access.admit(shown, call_of(method).row.scopes, method))
 
     async def admit_public(self, peer: str) -> None:
@@ -45,14 +51,14 @@ class Gate:
         await self._access.admit_public(_address_of(peer))
 
     async def delay_refusal(self, peer: str) -> None:
-        """Wait before a stranger is refused, where strangers at this address are refused too often."""
+        """Wait before an unauthenticated call is refused, if those of its address are refused too often."""
         await self._access.delay_refusal(_address_of(peer))
 
     @asynccontextmanager
     async def watching(self, method: str, context: Any) -> AsyncIterator[None]:
         """Admit the caller of a stream; the block ends with Unauthenticated once the credential has lost its right.
 
-        The block must be left in the task that entered it. Raises what `admit` raises.
+        The block must be left in the task that entered it. Raises the errors of `admit`.
         """
         # Read now: the watch may outlive the call, and gRPC 1.85 crashes where an ended call is asked for its peer.
         shown = credential_of(context)

@@ -1,6 +1,6 @@
 """Errors as google.rpc.Status, all from `service.status.STATUS`; one interceptor for every RPC.
 
-The interceptor also parses: handlers receive the message's bytes from gRPC, so that what does not parse is
+The interceptor also parses: handlers receive the message's bytes from gRPC, so that a malformed message is
 INVALID_ARGUMENT (gRPC itself would answer INTERNAL or UNKNOWN with the name of an exception class).
 """
 
@@ -59,14 +59,14 @@ _log = structlog.get_logger(__name__)
 
 
 class ErrorInterceptor(grpc.aio.ServerInterceptor):  # type: ignore[type-arg]  # not generic at run time
-    """Turns what a handler raises into a status with details, for unary calls and streams.
+    """Turns a handler's error into a status with details, for unary calls and streams.
 
-    Who calls is admitted, and given a place, before the message is read: a unary call is served as a stream of one
-    message, whose bytes wait with the client until then.
+    The caller is admitted, and given a slot, before the message is read: a unary call is served as a stream of one
+    message, and its bytes wait with the client until then.
     """
 
     def __init__(self, gate: Gate, slots: CallSlots, budget: ByteBudget) -> None:
-        """`gate` admits the callers; `slots` and `budget` bound what they hold open, in calls and in bytes."""
+        """`gate` admits the callers; `slots` and `budget` bound their open calls and bytes."""
         self._gate = gate
         self._slots = slots
         self._public_calls = PublicCalls()
@@ -154,7 +154,7 @@ def _kind_of(method: str, slots: CallSlots) -> Slots:
 
 
 async def _message(method: str, parse: Callable[[bytes], Any], requests: AsyncIterator[bytes], held: HeldBytes) -> Any:
-    """The parsed message of a unary call, within the budget. Raises TooLarge, WorkersBusy and what `_only` raises."""
+    """The parsed message of a unary call, within the budget. Raises TooLarge, WorkersBusy and the errors of `_only`."""
     if call_of(method).row.cost is not Cost.CLOUD:
         message = await _only(requests, PUBLIC_MESSAGE_S)
         if len(message) > SMALL_MESSAGE_BYTES:
@@ -178,7 +178,7 @@ async def _streamed(
 
 
 def _public(handler: Any, gate: Gate, calls: PublicCalls) -> Any:
-    """A call that needs no credential: health and reflection, whose handlers parse their own messages."""
+    """A call without a credential (health, reflection): its handler parses its own messages."""
     parts = (handler.request_deserializer, handler.response_serializer)
     if handler.response_streaming:
 
@@ -239,17 +239,17 @@ def _parse(parse: Callable[[bytes], Any], request: bytes) -> Any:
 
 
 def _refuse(context: Any, error: Exception) -> None:
-    """End the call with the status of `error`: what its handler returns then is not sent.
+    """End the call with the status of `error`: the handler's answer is not sent then.
 
-    Not by `context.abort`: what that raises is kept by the call, whose frames it keeps, until the garbage collector
-    comes round. Under a flood of refusals that took 48 ms every 11 s, and everybody waited (docs/decisions/0033).
+    Not by `context.abort`: the call keeps its exception with all frames until the garbage collector comes round.
+    Under a flood of refusals that took 48 ms every 11 s, and everybody waited (docs/decisions/0033).
     """
     request_id = current_request().request_id or uuid.uuid4().hex
     if not isinstance(error, RevisitError):
         _log.exception("call failed unexpectedly", request_id=request_id, exc_info=error)
         error = RevisitError("an internal error occurred; the request id leads to its log entry")
     status = rpc_status(error, request_id)
-    # The frames of what was refused hold its message, and would until the garbage collector comes round.
+    # The frames of a refused call hold its message, and would until the garbage collector comes round.
     traceback.clear_frames(error.__traceback__)
     context.set_code(code_of(error))
     context.set_details(status.message)

@@ -18,7 +18,7 @@ from revisit.service.wire.rendering import rendered
 
 
 def services_of(calls: Mapping[str, Call]) -> list[ServiceDescriptor]:
-    """The services of the calls. Raises RuntimeError where one has an RPC that no row says who may call."""
+    """The services of the calls. Raises RuntimeError for an RPC without a row."""
     services = list(dict.fromkeys(call.method.containing_service for call in calls.values()))
     for service in services:
         for method in service.methods:

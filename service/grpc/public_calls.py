@@ -6,15 +6,15 @@ import asyncio
 from collections.abc import AsyncIterator, Iterator
 from contextlib import asynccontextmanager, contextmanager
 
-from revisit.service.capacity.newcomers import Newcomers, holder_of
 from revisit.service.capacity.slots import Share, Slots
+from revisit.service.capacity.unauthenticated_limits import UnauthenticatedLimits, holder_of
 from revisit.service.domain.errors import DeadlineExceeded
-from revisit.service.grpc.strangers import endpoint_of
+from revisit.service.grpc.unauthenticated_connections import endpoint_of
 
 WATCHES = Share("watches without a credential", 64, 48, 8, ("address", "connection"))
 
 WAITING_CALLS = 64
-"""Calls of one address whose message has not come: one more takes the place of the oldest. So health is never behind
+"""Calls of one address without a message yet: one more replaces the oldest. So health is never behind
 calls that only begin."""
 
 
@@ -23,7 +23,7 @@ class PublicCalls:
 
     def __init__(self) -> None:
         self._watches = Slots(WATCHES)
-        self._waiting = Newcomers(WAITING_CALLS)
+        self._waiting = UnauthenticatedLimits(WAITING_CALLS)
 
     @contextmanager
     def watch(self, peer: str) -> Iterator[None]:

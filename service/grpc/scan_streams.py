@@ -20,7 +20,7 @@ from revisit.service.wire.requests import append_scan
 from revisit.v1 import ingest_pb2 as pb
 
 CREDITS = 32
-"""Scans a client may have unanswered. What it sends beyond them waits in its own socket: one scan is read at a time."""
+"""Scans a client may have unanswered. Further ones wait in its own socket: one scan is read at a time."""
 
 WINDOW_BYTES = 8 * 2**20
 """Bytes of clouds that a client may have unanswered."""
@@ -107,7 +107,7 @@ class _ScanStream:
 
     @property
     def key(self) -> tuple[TenantId, SessionKey]:
-        """What only one stream may be open for."""
+        """The key of a stream: only one may be open for it."""
         return (self.tenant, self.session)
 
     def fence(self) -> None:

@@ -12,9 +12,9 @@ from revisit.service.grpc.access import Gate
 from revisit.service.grpc.errors import LARGEST_MESSAGE_BYTES, ErrorInterceptor
 from revisit.service.grpc.handlers import handlers_of, services_of
 from revisit.service.grpc.health import HealthServicer
-from revisit.service.grpc.strangers import Strangers
 from revisit.service.grpc.timing import CallTimer
 from revisit.service.grpc.tracing import CallTracing
+from revisit.service.grpc.unauthenticated_connections import UnauthenticatedConnections
 from revisit.service.metrics import RequestMetrics
 from revisit.service.ports.tracing import NoTracer, Tracer
 from revisit.service.use_cases import UseCases
@@ -22,11 +22,12 @@ from revisit.service.use_cases import UseCases
 MAX_MESSAGE_BYTES = LARGEST_MESSAGE_BYTES
 MAX_METADATA_BYTES = 16 * 2**10
 MAX_CONCURRENT_CALLS = 256
-"""Of one connection. `CallLimits` bounds what all together hold open."""
+"""Of one connection. `CallLimits` bounds the open calls of all together."""
 
 PUBLIC_CALLS = 128
-"""What calls without a credential add to the bound of all calls: that is twice what may be open, for as many again may
-be on their way in or out."""
+"""Calls without a credential in the bound of all calls: that is twice the open ones, for as many again may be on their
+way in or out.
+"""
 
 CONNECTIONS = 4096
 """Open connections; each takes about 17 KiB while it is idle (VmRSS of a gateway with 3,000 of them)."""
@@ -54,17 +55,17 @@ def create_server(
     tracer: Tracer = NoTracer(),
     described: bool = True,
     call_limits: CallLimits = CallLimits(),
-    strangers: Strangers | None = None,
+    unauthenticated: UnauthenticatedConnections | None = None,
     connections: int = CONNECTIONS,
 ) -> grpc.aio.Server:
     """A server over `use_cases` without a port: add one, start it on the running loop, stop it with a grace.
 
-    `described`: it answers reflection. `strangers` is told who was admitted. One of more `connections` than these is
-    closed at once. Raises RuntimeError where an RPC does not say who may call it.
+    `described`: it answers reflection. `unauthenticated` is told of admitted peers. One of more `connections` than
+    these is closed at once. Raises RuntimeError for an RPC without a declaration of its scopes.
     """
     services = services_of(CALLS)
     timers = [] if requests is None else [CallTimer(requests)]
-    guard = ErrorInterceptor(Gate(use_cases, strangers), CallSlots(call_limits), use_cases.budget)
+    guard = ErrorInterceptor(Gate(use_cases, unauthenticated), CallSlots(call_limits), use_cases.budget)
     server = grpc.aio.server(
         interceptors=[CallTracing(tracer), *timers, guard],
         options=(*OPTIONS, ("grpc.max_allowed_incoming_connections", connections)),

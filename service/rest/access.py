@@ -1,4 +1,4 @@
-"""Who may call which route: every route declares it, or the application does not start."""
+"""Authorisation of routes: every route declares its scopes, or the application does not start."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ def allows(call: Call) -> Any:
 
 
 def served(call: Call, *dependencies: Any) -> dict[str, Any]:
-    """The arguments of a call's route that its row says: path, method, name, description, group, and who may call."""
+    """The arguments of a call's route from its row: path, method, name, description, group, scopes."""
     return {
         "path": path_of(call),
         "methods": [call.row.http.partition(" ")[0]],
@@ -109,7 +109,7 @@ def _address_of(request: Request) -> str:
 
 
 def require_declared_scopes(app: FastAPI) -> None:
-    """Raises RuntimeError where a route does not say who may call it."""
+    """Raises RuntimeError for a route without a declaration of its scopes."""
     for route in every_route(app):
         path = getattr(route, "path", None)
         if isinstance(route, APIRoute):
@@ -138,7 +138,7 @@ def scopes_of(route: APIRoute) -> list[str]:
 
 
 def describe_access(app: FastAPI, document: dict[str, Any]) -> None:
-    """Say in the OpenAPI document what each route needs."""
+    """Write the scopes of each route into the OpenAPI document."""
     document["components"]["securitySchemes"] = {
         SCHEME: {"type": "http", "scheme": "bearer", "description": "An API key, `rv_...`, or a JWT of your issuer."}
     }

@@ -1,4 +1,4 @@
-"""Answers: messages of `proto/revisit/v1` as JSON, and what OpenAPI says about them."""
+"""Answers: messages of `proto/revisit/v1` as JSON, and their part of OpenAPI."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _OF_ROUTES_BY_HAND = (ingest_pb2.AppendScanResponse, event_pb2.Event)
 
 
 def status_of(call: Call) -> int:
-    """The status of an answer: 201 for what was created, 202 for work that was asked for, 204 where nothing is left."""
+    """The status of an answer: 201 for a creation, 202 for an operation, 204 for an empty answer."""
     if call.row.http.startswith("DELETE"):
         return 204
     if "replay" not in descriptor_of(call.response).fields_by_name:

@@ -46,7 +46,8 @@ def create_app(
 ) -> FastAPI:
     """The ASGI application over `use_cases`, addressed as localhost, by IP address or by one of `hosts`.
 
-    `described`: it answers with its OpenAPI document. Raises RuntimeError where a route does not say who may call it.
+    `described`: it answers with its OpenAPI document. Raises RuntimeError for a route without a declaration of its
+    scopes.
     """
     app = FastAPI(
         title="Revisit",

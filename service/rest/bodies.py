@@ -30,7 +30,7 @@ LONG_BODIES_AT_A_TIME = 16
 SchemaT = TypeVar("SchemaT", bound=Body)
 
 JSON_POINTS_A_BYTE = 0.65
-"""What a byte of JSON costs: five times the 13 ns for which reading it holds the interpreter (docs/decisions/0172)."""
+"""Cost of a byte of JSON: five times the 13 ns for which reading it holds the interpreter (docs/decisions/0172)."""
 
 # Ends with the text where a string does not, and gives nothing back: else one without an end is tried at each quote.
 _STRING = re.compile(r'"(?:[^"\\]++|\\.)*+"?', re.DOTALL)
@@ -69,7 +69,7 @@ def describe_json(schema: type[BaseModel]) -> dict[str, Any]:
 async def read_json(request: Request, schema: type[SchemaT]) -> SchemaT:
     """The body of an `application/json` request, which is charged to the rate limits, refused or not.
 
-    Raises UnsupportedEncoding, TooLarge, RateLimited, and what `parse_json` raises.
+    Raises UnsupportedEncoding, TooLarge, RateLimited, and the errors of `parse_json`.
     """
     if media_type(request) != "application/json" or request.headers.get("content-encoding"):
         raise UnsupportedEncoding("this call takes application/json without Content-Encoding")
@@ -85,9 +85,9 @@ async def read_json(request: Request, schema: type[SchemaT]) -> SchemaT:
 def parse_json(data: bytes, schema: type[SchemaT], limits: HttpLimits) -> SchemaT:
     """Strict JSON: UTF-8 without BOM, no NaN, no duplicate keys, bounded structure, no unknown or coerced fields.
 
-    Whatever a body of its schema may hold takes a few milliseconds at most.
+    Any body of its schema takes a few milliseconds at most.
 
-    Raises MalformedBody for what is not such JSON, BadField for what does not fit the schema.
+    Raises MalformedBody for invalid JSON, BadField for JSON that does not fit the schema.
     """
     try:
         text = data.decode("utf-8", errors="strict")
@@ -139,7 +139,7 @@ async def body_bytes(request: Request, most: int | None = None) -> bytes:
 
 def _declared_bytes(request: Request, most: int) -> int:
     """The length that a body declares; where it declares none, `most`. Raises TooLarge beyond that."""
-    # The middleware has refused what is no number.
+    # The middleware has refused values that are no number.
     declared = int(request.headers.get("content-length", str(most))[:20])
     if declared > most:
         raise TooLarge(f"this body may have at most {most} bytes")

@@ -1,7 +1,7 @@
-"""The door: what a connection shows first, looked at before HTTP is parsed, where too many of its address begin.
+"""The door: the first bytes of a connection, read before HTTP is parsed, where too many of its address begin.
 
 A connection that asks for one thing costs the event loop more than a millisecond, one that is sent away here a small
-part of that. Whoever shows a credential that is known goes on, and /livez is told.
+part of that. Connections with a known credential go on, and /livez is answered.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import socket
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from revisit.service.capacity.newcomers import Newcomers, Shown
+from revisit.service.capacity.unauthenticated_limits import Shown, UnauthenticatedLimits
 from revisit.service.domain.errors import RateLimited
 from revisit.service.rest.errors import problem
 
@@ -68,14 +68,14 @@ class _Waiting:
 class Door:
     """Lets connections in, or sends them away. All calls come from the event loop."""
 
-    newcomers: Newcomers
+    unauthenticated: UnauthenticatedLimits
     let_in: Callable[[Arrival], None]
     encrypted: bool = False
     """Nothing can be seen of a connection before its handshake: one too many waits for its turn."""
     _waiting: dict[socket.socket, _Waiting] = field(default_factory=dict)
 
     def arrive(self, arrival: Arrival) -> bool:
-        """Let a connection in where it may begin; else look at what it shows. Whether it was let in."""
+        """Let a connection in if it may begin, or by its first bytes. Whether it was let in."""
         if self.encrypted:
             arrival.shown = Shown.UNKNOWN
         if self._begins(arrival):
@@ -87,7 +87,7 @@ class Door:
         return self._look(arrival)
 
     def _begins(self, arrival: Arrival) -> bool:
-        return arrival.shown is not None and self.newcomers.may_begin(arrival.address, arrival.shown)
+        return arrival.shown is not None and self.unauthenticated.may_begin(arrival.address, arrival.shown)
 
     def close(self) -> None:
         """Send all away that wait."""
@@ -110,15 +110,15 @@ class Door:
         return False
 
     def _goes_on(self, arrival: Arrival, shown: bytes) -> bool:
-        """Whether a connection is let in for what it shows."""
+        """Whether a connection is let in for its credential."""
         bearer = _BEARER.search(shown)
         if bearer is None:
             arrival.shown = Shown.READINESS
             return shown.startswith(b"GET /readyz ") and self._begins(arrival)
         credential = bearer[1].decode("latin-1")
-        if self.newcomers.is_known(credential):
+        if self.unauthenticated.is_known(credential):
             arrival.shown = None
-            return self.newcomers.may_return(credential)
+            return self.unauthenticated.may_return(credential)
         arrival.shown = Shown.UNKNOWN
         return self._begins(arrival)
 
@@ -169,21 +169,21 @@ VOUCH = "vouch"
 class Voucher:
     """Tells, once, that somebody was admitted over a connection."""
 
-    newcomers: Newcomers
+    unauthenticated: UnauthenticatedLimits
     address: str
     shown: Shown | None
     told: bool = False
 
     def admitted(self, credential: str | None) -> None:
-        """Somebody was, who has shown this, or nothing where anyone is."""
+        """A caller was admitted with this credential, or with none where anyone is."""
         if not self.told:
             self.told = True
-            self.newcomers.vouch(self.address, credential, self.shown)
+            self.unauthenticated.vouch(self.address, credential, self.shown)
 
 
 def _send_away(connection: socket.socket, told: bytes) -> None:
     """Tell a client why, and close its connection."""
     with connection, contextlib.suppress(OSError):
-        # What stays unread would make the kernel take back the answer.
+        # Unread bytes would make the kernel take back the answer.
         connection.recv(SHOWN_BYTES)
         connection.send(told)

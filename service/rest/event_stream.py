@@ -36,7 +36,7 @@ HEADERS = [
 class EventStream(Response):
     """Sends events until the client goes, loses its right, or the service stops.
 
-    A client that does not read is cut off by `DeadlineProtocol`; what the service holds for it is one batch of events.
+    A client that does not read is cut off by `DeadlineProtocol`; the service holds one batch of events for it.
     """
 
     media_type = MEDIA_TYPE
@@ -52,7 +52,7 @@ class EventStream(Response):
         self._refused = refused
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Send the events. Raises RateLimited, and what the first of them raises."""
+        """Send the events. Raises RateLimited, and the error of the first of them."""
         with watching():
             first = await anext(self._events)
             await send({"type": "http.response.start", "status": 200, "headers": HEADERS})

@@ -16,14 +16,14 @@ class FileInPieces(Response):
     """A download that counts in the budget until its last piece is handed over, or its connection is lost."""
 
     def __init__(self, budget: ByteBudget, tenant: TenantId, make: Callable[[Room], Awaitable[Download]]) -> None:
-        """`make` makes the file when the budget has room; what it raises is the answer."""
+        """`make` makes the file when the budget has room; its error is the answer."""
         super().__init__()
         self._budget = budget
         self._tenant = tenant
         self._make = make
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Make the file and send it. Raises WorkersBusy where the budget has no room, and what `make` raises."""
+        """Make the file and send it. Raises WorkersBusy where the budget has no room, and the errors of `make`."""
         with self._budget.hold(self._tenant) as held:
             file = await self._make(held.wait_for)
             held.set(len(file.data))

@@ -1,4 +1,4 @@
-"""What the HTTP side accepts at most; `revisit.formats.CloudLimits` bounds what a body decompresses to."""
+"""Bounds of the HTTP side; `revisit.formats.CloudLimits` bounds a body's size after decompression."""
 
 from __future__ import annotations
 
@@ -26,6 +26,7 @@ class HttpLimits:
     """The rate above which a body may take longer, on average since it began."""
     requests: int = 1536
     """Requests that are being answered at the same time: those that hold a slot, those that wait for their turn, and
-    those whose caller is being admitted. Health is told beyond them."""
+    those in admission. Health is answered beyond them.
+    """
     calls: CallLimits = CallLimits(watches=Share("watches", 128, 64, 16))
     """Those of admitted callers; a page in a browser holds one watch."""

@@ -12,7 +12,7 @@ from typing import Any
 
 import uvicorn
 
-from revisit.service.capacity.newcomers import Newcomers
+from revisit.service.capacity.unauthenticated_limits import UnauthenticatedLimits
 from revisit.service.rest.door import VOUCH, Arrival, Door, Voucher
 from revisit.service.rest.slow_clients import DeadlineProtocol
 
@@ -31,8 +31,9 @@ LOOKED_AT_AT_ONCE = 128
 """Connections that are accepted in one turn of the event loop; to send one away takes 0.07 ms of a core."""
 
 AT_ONCE = 32
-"""Of them, those that are let in. It takes some turns until what they have sent is read;
-before that they are newcomers, of whom an address has more places than these turns fill."""
+"""Of them, those that are let in. It takes some turns until their first bytes are read; before that they are
+unauthenticated, and an address may have more of those than these turns bring.
+"""
 
 _EXHAUSTED = frozenset({errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM})
 
@@ -43,11 +44,13 @@ class ListeningServer(uvicorn.Server):
     So a taken port ends the start, port 0 is known, and one handler of signals stops all servers.
     """
 
-    def __init__(self, config: uvicorn.Config, listener: socket.socket, newcomers: Newcomers | None = None) -> None:
+    def __init__(
+        self, config: uvicorn.Config, listener: socket.socket, unauthenticated: UnauthenticatedLimits | None = None
+    ) -> None:
         super().__init__(config)
         self._listener = listener
-        self._newcomers = newcomers or Newcomers()
-        self._door = Door(self._newcomers, self._arrived)
+        self._unauthenticated = unauthenticated or UnauthenticatedLimits()
+        self._door = Door(self._unauthenticated, self._arrived)
         self._welcomes: set[asyncio.Task[None]] = set()
 
     @contextmanager
@@ -67,7 +70,7 @@ class ListeningServer(uvicorn.Server):
         self._door.encrypted = self.config.ssl is not None
         accepting = _Accepting(self._listener, self._door)
         accepting.begin()
-        self.servers, self.started = [accepting], True  # type: ignore[list-item]  # it has what uvicorn calls
+        self.servers, self.started = [accepting], True  # type: ignore[list-item]  # uvicorn calls its methods
 
     def _arrived(self, arrival: Arrival) -> None:
         welcome = asyncio.get_running_loop().create_task(self._welcome(arrival))
@@ -77,7 +80,7 @@ class ListeningServer(uvicorn.Server):
     async def _welcome(self, arrival: Arrival) -> None:
         """Shake hands, where there is TLS, and leave the connection to its protocol."""
         connection = arrival.connection
-        settle = self._newcomers.arrive(arrival.address, lambda: _end(connection))
+        settle = self._unauthenticated.arrive(arrival.address, lambda: _end(connection))
         tls = self.config.ssl
         handshake_s = None if tls is None else HANDSHAKE_S
         try:
@@ -91,14 +94,14 @@ class ListeningServer(uvicorn.Server):
 
     def _protocol(self, settle: Callable[[], None], arrival: Arrival) -> DeadlineProtocol:
         make: Any = self.config.http_protocol_class
-        vouch = Voucher(self._newcomers, arrival.address, arrival.shown)
+        vouch = Voucher(self._unauthenticated, arrival.address, arrival.shown)
         protocol: DeadlineProtocol = make(self.config, self.server_state, {**self.lifespan.state, VOUCH: vouch})
         protocol.settle = settle
         return protocol
 
 
 class _Accepting:
-    """Accepts connections on the running loop; what uvicorn closes, as it would the servers of asyncio."""
+    """Accepts connections on the running loop; uvicorn closes it as it would the servers of asyncio."""
 
     def __init__(self, listener: socket.socket, door: Door) -> None:
         """`door` takes each connection, with the address it comes from."""

@@ -1,4 +1,4 @@
-"""Pure ASGI middleware around every request: its id, safe headers, who may ask, the body's limits, its duration."""
+"""Pure ASGI middleware around every request: its id, safe headers, authorisation, the body's limits, its duration."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ SECURITY_HEADERS = {
 
 
 NOBODY = TenantId("")
-"""Whose bytes are counted before anybody was admitted."""
+"""The holder of bytes before anybody was admitted."""
 
 HEALTH_PATHS = frozenset({"/livez", "/readyz"})
 
@@ -87,7 +87,7 @@ class RequestEnvelope:
 class RequestSlots:
     """Refuses a request where as many as may be are being answered; health is told in any case.
 
-    What a request holds from its admission on, in `scope["state"]["held"]`, is given back once it is answered.
+    A request's resources from its admission on, in `scope["state"]["held"]`, are released once it is answered.
     """
 
     def __init__(self, app: ASGIApp, limits: HttpLimits) -> None:
@@ -167,7 +167,7 @@ class BodyLimit:
         budget: ByteBudget = scope["app"].state.use_cases.budget
         refusal = _two_lengths(headers) or self._refusal(budget, headers.get("content-length", "0"))
         if refusal is not None:
-            # What follows on this connection may be a second request that was hidden in the first.
+            # The next bytes on this connection may be a second request that was hidden in the first.
             await problem(refusal, scope["state"]["request_id"], CLOSE)(scope, receive, send)
             return
         body = _Body(receive, self._limits)
@@ -178,7 +178,7 @@ class BodyLimit:
                 nonlocal held
                 message = await body.receive()
                 if held is None and body.read_bytes > 0:
-                    # A body is read after its caller was admitted; what nobody was admitted for is not read.
+                    # A body is read only after its caller was admitted.
                     held = until_answered.enter_context(budget.hold(current_tenant_or_none() or NOBODY))
                 if held is not None:
                     held.set(body.read_bytes)

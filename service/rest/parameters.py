@@ -1,4 +1,4 @@
-"""What routes ask for by type: the use cases, the tenant, pages, poses, keys, search criteria."""
+"""Dependencies of routes by type: the use cases, the tenant, pages, poses, keys, search criteria."""
 
 from __future__ import annotations
 
@@ -152,7 +152,7 @@ async def freshness_of_query(
     min_seq: Annotated[int, Query(**bounds(limits.MIN_SEQ), description=MIN_SEQ_HELP), IN_DIGITS] = 0,
     min_seq_timeout_s: Annotated[float, Query(**bounds(limits.WAIT_S))] = DEFAULT_WAIT_S,
 ) -> Freshness:
-    """What an answer must rest on, from the query string."""
+    """The read barrier, from the query string."""
     return Freshness(min_seq, min_seq_timeout_s)
 
 

@@ -1,4 +1,4 @@
-"""What the descriptors of requests do not say of their fields: bounds, defaults, and which must be given.
+"""Bounds, defaults and required fields of requests, which their descriptors lack.
 
 By the name of a field, which means the same in every message.
 """

@@ -50,12 +50,12 @@ class Spelled:
     kind: Any
     default: Any
     read: Callable[[Any], Any] | None = None
-    """The value to what the message's constructor takes; None where that is the value."""
+    """From the value to the constructor's argument; None where they are the same."""
     resource: str = ""
     """The name that an id stands for, of `{parent}` and `{id}`."""
 
     def value(self, sent: Any, parent: str) -> Any:
-        """What the message's constructor takes. Raises BadField."""
+        """The arguments of the message's constructor. Raises BadField."""
         if self.resource:
             return self.resource.format(parent=parent, id=sent)
         return sent if self.read is None else self.read(sent)

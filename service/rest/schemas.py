@@ -49,19 +49,19 @@ Coordinate = Annotated[float, Field(**bounds(limits.PRIOR_COORDINATE_M))]
 
 
 class Request(BaseModel):
-    """What a client sends: nothing unknown, nothing coerced, nothing infinite."""
+    """A client's input: nothing unknown, nothing coerced, nothing infinite."""
 
     model_config = ConfigDict(strict=True, extra="forbid", allow_inf_nan=False, frozen=True)
 
     most_bytes: ClassVar[int] = 16 * 2**10
-    """Of the body: several times what its fields take at most."""
+    """Of the body: several times the most that its fields take."""
 
 
 class SearchRequest(Request):
     """Search by `submap` (a resource name) or by `descriptor` with its `model_version`; exactly one of the two.
 
     `min_seq`, the seq of a submap: the answer rests on every submap of the map up to it, or is a 504 (SEQ_NOT_REACHED)
-    after `min_seq_timeout_s` seconds. A submap whose description failed is not waited for.
+    after `min_seq_timeout_s` seconds. A submap that failed is not waited for.
 
     `storey`, with a descriptor: where it was taken; submaps of sessions on another storey are no hits. A submap is on
     that of its session.
@@ -85,7 +85,7 @@ class SearchRequest(Request):
     min_seq_timeout_s: Annotated[float, Field(**bounds(limits.WAIT_S))] = DEFAULT_WAIT_S
 
     def criteria(self) -> SearchCriteria:
-        """What hits must satisfy."""
+        """Conditions of hits."""
         position = self.prior_position_m
         return SearchCriteria(
             k=self.k,

@@ -1,6 +1,6 @@
 """Slow clients: a connection that brings no request head, or takes no answer, in time is closed.
 
-For bodies see `BodyLimit`, for what is answered where all slots are taken `RequestSlots`.
+For bodies see `BodyLimit`, for the answer where all slots are taken `RequestSlots`.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ HEAD_S = 10.0
 """Time for a request line with its headers, counted from the connection or from the first byte of the next request."""
 
 REST_S = 2.0
-"""Time for the rest of a body whose request was answered already: refused, or given up."""
+"""Time for the rest of a body after its request was answered: refused, or given up."""
 
 HEAD_BYTES = 32 * 2**10
 """Bytes of a request line with its headers."""
@@ -60,7 +60,7 @@ class DeadlineProtocol(H11Protocol):
     most_connections = CONNECTIONS
     most_pipelined = PIPELINED
     settle: Callable[[], None] | None = None
-    """To be called once the first request head is there, or the connection is gone: see `Newcomers`."""
+    """To be called once the first request head is there, or the connection is gone: see `UnauthenticatedLimits`."""
 
     _deadline: asyncio.TimerHandle | None = None
     _write_check: asyncio.TimerHandle | None = None
@@ -94,7 +94,7 @@ class DeadlineProtocol(H11Protocol):
         self._watch()
 
     def on_response_complete(self) -> None:
-        """Start the clock of what is left of the body, or of the next request."""
+        """Start the clock of the rest of the body, or of the next request."""
         self._watch_writing()
         self._pipelined = self._pipelined + 1 if self.conn.trailing_data[0] else 0
         if self._pipelined > self.most_pipelined:
@@ -111,7 +111,7 @@ class DeadlineProtocol(H11Protocol):
         self._watch_writing()
 
     def resume_writing(self) -> None:
-        """The client has taken what there was."""
+        """The client has taken all bytes."""
         self._drained = True
         super().resume_writing()
 
@@ -129,7 +129,7 @@ class DeadlineProtocol(H11Protocol):
             self.settle = None
 
     def _watch_writing(self) -> None:
-        """Look every now and then whether what waits for the client becomes less, until nothing does."""
+        """Check now and then that the bytes waiting for the client become fewer, until none is left."""
         if self._write_check is None and self.transport.get_write_buffer_size() > 0:
             loop = asyncio.get_running_loop()
             self._taken_s = loop.time()
@@ -144,7 +144,7 @@ class DeadlineProtocol(H11Protocol):
         left = self.transport.get_write_buffer_size()
         if left == 0:
             return
-        # What is not paused may have had an answer added meanwhile: there only a buffer that stands still says nothing.
+        # Without a pause an answer may have been added meanwhile: there only a buffer that stands still is a sign.
         taken = WRITE_BYTES if self.flow.write_paused else 1
         if self._drained or left <= self._unread_bytes - taken or (taken == 1 and left > self._unread_bytes):
             self._taken_s = asyncio.get_running_loop().time()
@@ -160,7 +160,7 @@ class DeadlineProtocol(H11Protocol):
         return unread >= self._unread_bytes > 0 and asyncio.get_running_loop().time() > self._taken_s + STALLED_S
 
     def _make_room(self) -> bool:
-        """Close the connection whose last request head is the longest ago and which owes us bytes: idle ones first.
+        """Close the connection with the oldest request head that owes us bytes: idle ones first.
 
         One that does not take its answer is as good. Whether there was one.
         """
@@ -208,13 +208,13 @@ class DeadlineProtocol(H11Protocol):
 
 
 def uvicorn_limits() -> dict[str, Any]:
-    """The arguments of `uvicorn.Config` that bound what clients can hold open."""
+    """The arguments of `uvicorn.Config` that bound clients' open connections."""
     return {
         "http": DeadlineProtocol,
         "ws": "none",
         "h11_max_incomplete_event_size": HEAD_BYTES,
         "timeout_keep_alive": KEEP_ALIVE_S,
         "server_header": False,
-        # Who asks is known by the connection, not by what a client writes into X-Forwarded-For.
+        # The client's address is that of the connection, not a value of X-Forwarded-For.
         "proxy_headers": False,
     }

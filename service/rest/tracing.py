@@ -24,7 +24,7 @@ log = structlog.get_logger(__name__)
 
 
 def call_of(scope: Scope) -> str:
-    """What was called: method and pattern of the route, never what a client chose freely, so that there are few."""
+    """The name of a call: method and pattern of the route, never a client's free text, so that there are few."""
     method = scope["method"] if scope["method"] in METHODS else "other"
     return f"{method} {scope['route'].path}" if "route" in scope else "unmatched"
 

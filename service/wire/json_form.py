@@ -22,7 +22,7 @@ STRUCT = "google.protobuf.Struct"
 
 @dataclass(frozen=True)
 class _Rendering:
-    """How one field is rendered: `render` is None for what is JSON already, `absent` makes what stands for nothing."""
+    """How one field is rendered: `render` is None for JSON values, `absent` makes the value of an absent field."""
 
     name: str
     render: Callable[[Any], Any] | None

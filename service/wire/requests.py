@@ -98,7 +98,7 @@ def _download(known: dict[int, tuple[DownloadKind, str | None]], number: int) ->
 
 
 def chunks(file: Download) -> Iterator[Fields]:
-    """A file as the fields of messages; the first one says what it is."""
+    """A file as the fields of messages; the first one has its type."""
     yield {"media_type": file.media_type, "filename": file.filename}
     for piece in file.pieces():
         yield {"data": piece}

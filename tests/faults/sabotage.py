@@ -185,7 +185,7 @@ def _asking_again(verify):
 
 
 def _settled():
-    """A newcomer that nobody has counted."""
+    """An unauthenticated connection that nobody has counted."""
 
 
 def _without_option(name):
@@ -520,12 +520,20 @@ SABOTAGES = (
     ),
     Sabotage(
         "newcomers of one address are not bounded",
-        {f"{SERVICE}capacity.newcomers:Newcomers.arrive": lambda _arrive: lambda *_arguments: _settled},
+        {
+            f"{SERVICE}capacity.unauthenticated_limits:UnauthenticatedLimits.arrive": lambda _arrive: (
+                lambda *_arguments: _settled
+            )
+        },
         f"{LIMITS}test_newcomers_of_one_address_give_way_to_one_another_and_to_nobody_else",
     ),
     Sabotage(
         "connections of one address may begin as fast as they like",
-        {f"{SERVICE}capacity.newcomers:Newcomers.may_begin": lambda _begins: lambda *_arguments: True},
+        {
+            f"{SERVICE}capacity.unauthenticated_limits:UnauthenticatedLimits.may_begin": lambda _begins: (
+                lambda *_arguments: True
+            )
+        },
         f"{LIMITS}test_connections_without_a_credential_begin_at_a_pace_and_further_ones_are_sent_away_with_an_answer",
     ),
     Sabotage(
@@ -535,7 +543,7 @@ SABOTAGES = (
     ),
     Sabotage(
         "strangers may keep as many connections to gRPC as they like",
-        {f"{SERVICE}grpc.strangers:Strangers.end_those_beyond": nothing},
+        {f"{SERVICE}grpc.unauthenticated_connections:UnauthenticatedConnections.end_those_beyond": nothing},
         f"{PLACES}test_connections_of_one_address_over_which_nobody_was_admitted_give_way_to_newer_ones",
     ),
     Sabotage(

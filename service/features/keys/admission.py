@@ -109,7 +109,7 @@ class Access:
         self._pace.note_json(current_tenant(), current_actor(), json_bytes)
 
     async def delay_refusal(self, address: str) -> None:
-        """Wait before a stranger is refused, where strangers at this address are refused too often."""
+        """Wait before an unauthenticated call is refused, if those of its address are refused too often."""
         await self._pace.refusal(address)
 
     async def admit(
@@ -166,7 +166,7 @@ class Access:
     async def _note_refusal(
         self, error: RevisitError, caller: Caller | None, credential: Credential, call: str
     ) -> None:
-        """Write a refusal down while there are not too many; raises TooManyFailures where strangers go beyond that."""
+        """Write a refusal down while there are not too many; raises TooManyFailures beyond that."""
         wait_s = self._failed.count(credential.address, self._clock.instant().ms / 1000)
         if wait_s > 0.0:
             if caller is None:

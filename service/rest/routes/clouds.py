@@ -1,4 +1,4 @@
-"""Routes whose body is a cloud that is stored: a scan of a session, a submap."""
+"""Routes with a cloud to store as body: a scan of a session, a submap."""
 
 from __future__ import annotations
 

@@ -20,8 +20,9 @@ router = APIRouter()
 
 
 SMALL_BYTES = 32 * 2**10
-"""A file up to this size is kept in memory: to read it takes four turns of threads, and strangers may ask for many. A
-larger one is sent in pieces, so that nobody has it whole in our buffers."""
+"""A file up to this size is kept in memory: to read it takes four turns of threads, and callers without a key may ask
+for many. A larger one is sent in pieces, so that nobody has it whole in our buffers.
+"""
 
 
 def _serve(path: str, file: Path) -> None:

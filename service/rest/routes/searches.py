@@ -57,7 +57,7 @@ class _SearchRoute(APIRoute):
     """
 
     def get_route_handler(self) -> Callable[[Request], Coroutine[Any, Any, Response]]:
-        """What answers a request of this route."""
+        """The handler of this route."""
         by_parameters = super().get_route_handler()
         if not self.path.endswith("/submaps:search"):
             return by_parameters
@@ -65,7 +65,7 @@ class _SearchRoute(APIRoute):
 
         async def answer_search(request: Request) -> Response:
             map_id = request.path_params["map_id"]
-            # Whatever else is sent is FastAPI's to judge.
+            # Anything else is FastAPI's to judge.
             plain = media_type(request) == "application/json" and not request.scope["query_string"]
             if not plain or len(map_id) > PATH_ID_CHARACTERS:
                 return await by_parameters(request)

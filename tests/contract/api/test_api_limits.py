@@ -18,7 +18,7 @@ import uvicorn
 
 from revisit.formats import QUANTISED, encode_quantised
 from revisit.service.capacity.byte_budget import ByteBudget
-from revisit.service.capacity.newcomers import ArrivalRates, Newcomers
+from revisit.service.capacity.unauthenticated_limits import ArrivalRates, UnauthenticatedLimits
 from revisit.service.rest.app import create_app
 from revisit.service.rest.door import AGAIN_S
 from revisit.service.rest.door import PATIENCE_S as PATIENCE_AT_THE_DOOR_S
@@ -75,7 +75,13 @@ class HttpServer:
 
 @contextlib.contextmanager
 def http_server(
-    limits=HttpLimits(), hosts=frozenset(), budget=ByteBudget(), newcomers=None, tls=None, use_cases=None, **settings
+    limits=HttpLimits(),
+    hosts=frozenset(),
+    budget=ByteBudget(),
+    unauthenticated=None,
+    tls=None,
+    use_cases=None,
+    **settings,
 ):
     """Serve until the block ends."""
     use_cases = replace(use_cases or memory_world().use_cases, budget=budget)
@@ -83,7 +89,7 @@ def http_server(
     listener.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 65_536)
     app = create_app(use_cases, limits, hosts=hosts)
     own = {"ssl_context_factory": tls and (lambda *_: tls), **uvicorn_limits(), **settings}
-    server = ListeningServer(uvicorn.Config(app, log_config=None, **own), listener, newcomers)
+    server = ListeningServer(uvicorn.Config(app, log_config=None, **own), listener, unauthenticated)
     with contextlib.closing(ClockedLoop()) as loop:
         serving = server.serve()
         thread = threading.Thread(target=lambda: loop.run_until_complete(serving), daemon=True)
@@ -312,25 +318,28 @@ def tls_context():
     ids=["nothing", "half a head", "half a TLS hello"],
 )
 def test_newcomers_of_one_address_give_way_to_one_another_and_to_nobody_else(tls, begin):
-    newcomers = Newcomers(3)
-    with http_server(newcomers=newcomers, tls=tls) as server, contextlib.ExitStack() as held:
+    unauthenticated = UnauthenticatedLimits(3)
+    with http_server(unauthenticated=unauthenticated, tls=tls) as server, contextlib.ExitStack() as held:
         elsewhere = connected(held, server, begin, "127.0.0.2")
         first, *others = [connected(held, server, begin) for _ in range(5)]
         assert first.recv(1) == b""
         assert others[0].recv(1) == b""
         assert [gone(connection) for connection in (elsewhere, *others[1:])] == [False] * 4
-        assert (newcomers.of("127.0.0.2"), newcomers.of("127.0.0.1")) == (1, 3)
+        assert (unauthenticated.of("127.0.0.2"), unauthenticated.of("127.0.0.1")) == (1, 3)
 
 
 def test_whoever_has_asked_for_something_is_no_newcomer():
-    newcomers = Newcomers(2)
-    with http_server(newcomers=newcomers) as server, httpx.Client(base_url=server.url, trust_env=False) as client:
+    unauthenticated = UnauthenticatedLimits(2)
+    with (
+        http_server(unauthenticated=unauthenticated) as server,
+        httpx.Client(base_url=server.url, trust_env=False) as client,
+    ):
         assert client.get("/livez").status_code == 200
         with contextlib.ExitStack() as held:
             first, *_ = [connected(held, server, b"") for _ in range(3)]
             assert first.recv(1) == b""
             assert client.get("/livez").status_code == 200
-            assert newcomers.of("127.0.0.1") == 2
+            assert unauthenticated.of("127.0.0.1") == 2
 
 
 @pytest.mark.parametrize(
@@ -403,7 +412,7 @@ def test_a_request_with_two_lengths_ends_its_connection_and_hides_no_other(serve
 
 
 FEW = ArrivalRates(
-    stranger_per_s=3.0, unknown_per_s=3.0, network_times=3.0, all_times=3.0, client_per_s=9.0, burst_s=1.0
+    anonymous_per_s=3.0, unknown_per_s=3.0, network_times=3.0, all_times=3.0, client_per_s=9.0, burst_s=1.0
 )
 
 
@@ -412,8 +421,8 @@ class Still:
 
     now_s = 0.0
 
-    def newcomers(self):
-        return Newcomers(rates=FEW, now_s=lambda: self.now_s)
+    def unauthenticated(self):
+        return UnauthenticatedLimits(rates=FEW, now_s=lambda: self.now_s)
 
 
 def asked(server, path, source="127.0.0.1", **headers):
@@ -430,7 +439,7 @@ def guarded_door():
     """A server with one key, whose time for arrivals stands still; yields it and the header with the key."""
     world = memory_world()
     key = a_key(world).text
-    with http_server(newcomers=Still().newcomers(), use_cases=world.use_cases) as server:
+    with http_server(unauthenticated=Still().unauthenticated(), use_cases=world.use_cases) as server:
         yield server, {"authorization": f"Bearer {key}"}
 
 
@@ -483,7 +492,10 @@ def test_a_connection_that_shows_nothing_waits_at_the_door_until_it_does_or_its_
 
 def test_a_connection_whose_handshake_comes_too_early_waits_for_its_turn():
     still = Still()
-    with http_server(newcomers=still.newcomers(), tls=tls_context()) as server, contextlib.ExitStack() as held:
+    with (
+        http_server(unauthenticated=still.unauthenticated(), tls=tls_context()) as server,
+        contextlib.ExitStack() as held,
+    ):
         begun = [connected(held, server, b"") for _ in range(4)]
         eventually(lambda: len(server.server._door._waiting) == 1, "none waits")
         still.now_s += 1.0

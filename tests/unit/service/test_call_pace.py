@@ -19,7 +19,7 @@ LIMITS = PaceLimits(
     burst=10,
     most_wait_s=2.0,
     waiting=25,
-    strangers_waiting=12,
+    unauthenticated_waiting=12,
 )
 
 
@@ -130,11 +130,11 @@ async def test_calls_without_a_credential_come_at_the_pace_of_their_address(pace
 
 
 async def test_strangers_that_wait_keep_no_caller_from_waiting(pace):
-    strangers = await begun(pace.public(f"10.0.0.{host}") for host in range(3) for _ in range(20))
-    assert sum(not call.done() for call in strangers) == LIMITS.strangers_waiting
+    unauthenticated = await begun(pace.public(f"10.0.0.{host}") for host in range(3) for _ in range(20))
+    assert sum(not call.done() for call in unauthenticated) == LIMITS.unauthenticated_waiting
     calls = await begun(pace.turn("acme", "robot") for _ in range(30))
     assert sum(not call.done() for call in calls) == 20
-    for call in (*strangers, *calls):
+    for call in (*unauthenticated, *calls):
         call.cancel()
 
 

@@ -1,11 +1,11 @@
-"""Connections that have not shown who they are, by address."""
+"""Connections without authentication, by address."""
 
 from __future__ import annotations
 
 import pytest
 
-from revisit.service.capacity import call_pace, newcomers
-from revisit.service.capacity.newcomers import ArrivalRates, Newcomers, Shown, holder_of
+from revisit.service.capacity import call_pace, unauthenticated_limits
+from revisit.service.capacity.unauthenticated_limits import ArrivalRates, Shown, UnauthenticatedLimits, holder_of
 
 
 @pytest.fixture
@@ -14,23 +14,23 @@ def ended():
     return []
 
 
-def arriving(newcomers, ended, *arrivals):
-    """What to call for each once it is no newcomer any more."""
-    return [newcomers.arrive(address, lambda name=name: ended.append(name)) for name, address in arrivals]
+def arriving(unauthenticated, ended, *arrivals):
+    """The functions to call once each is authenticated or closed."""
+    return [unauthenticated.arrive(address, lambda name=name: ended.append(name)) for name, address in arrivals]
 
 
 def test_the_oldest_newcomer_of_an_address_leaves_where_it_has_too_many(ended):
-    newcomers = Newcomers(2)
-    arriving(newcomers, ended, ("a", "10.0.0.1"), ("b", "10.0.0.1"), ("other", "10.0.0.2"), ("c", "10.0.0.1"))
-    assert (ended, newcomers.of("10.0.0.1"), newcomers.of("10.0.0.2")) == (["a"], 2, 1)
+    unauthenticated = UnauthenticatedLimits(2)
+    arriving(unauthenticated, ended, ("a", "10.0.0.1"), ("b", "10.0.0.1"), ("other", "10.0.0.2"), ("c", "10.0.0.1"))
+    assert (ended, unauthenticated.of("10.0.0.1"), unauthenticated.of("10.0.0.2")) == (["a"], 2, 1)
 
 
 def test_one_that_has_settled_leaves_no_more_and_makes_room_once(ended):
-    newcomers = Newcomers(2)
-    settle_a, _ = arriving(newcomers, ended, ("a", "10.0.0.1"), ("b", "10.0.0.1"))
+    unauthenticated = UnauthenticatedLimits(2)
+    settle_a, _ = arriving(unauthenticated, ended, ("a", "10.0.0.1"), ("b", "10.0.0.1"))
     settle_a()
     settle_a()
-    arriving(newcomers, ended, ("c", "10.0.0.1"), ("d", "10.0.0.1"))
+    arriving(unauthenticated, ended, ("c", "10.0.0.1"), ("d", "10.0.0.1"))
     assert ended == ["b"]
 
 
@@ -49,7 +49,7 @@ def test_an_ipv6_address_stands_for_its_network(address, holder):
 
 
 RATES = ArrivalRates(
-    stranger_per_s=2.0, unknown_per_s=4.0, network_times=1.5, all_times=2.5, client_per_s=2.0, burst_s=1.0
+    anonymous_per_s=2.0, unknown_per_s=4.0, network_times=1.5, all_times=2.5, client_per_s=2.0, burst_s=1.0
 )
 
 
@@ -64,7 +64,7 @@ def time():
 
 @pytest.fixture
 def arrivals(time):
-    return Newcomers(rates=RATES, now_s=lambda: time.now_s)
+    return UnauthenticatedLimits(rates=RATES, now_s=lambda: time.now_s)
 
 
 def begun(arrivals, *addresses):
@@ -116,7 +116,7 @@ def test_a_credential_is_known_for_a_while_after_it_was_admitted_and_has_a_pace(
     arrivals.vouch("10.0.0.1", "rv_key")
     assert (arrivals.is_known("rv_key"), arrivals.is_known("rv_other")) == (True, False)
     assert [arrivals.may_return("rv_key") for _ in range(2)] == [True, False]
-    time.now_s += newcomers.KNOWN_S
+    time.now_s += unauthenticated_limits.KNOWN_S
     assert not arrivals.is_known("rv_key")
 
 

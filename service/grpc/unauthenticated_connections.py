@@ -1,4 +1,4 @@
-"""Connections to the gRPC port over which nobody was admitted yet, bounded by the address that they come from.
+"""Unauthenticated gRPC connections, bounded by their source address.
 
 gRPC's C core accepts connections and tells nobody of them before their first call. So they are looked up among the
 open files of this process, and one too many is ended there; the core finds it closed. Where there is no /proc there is
@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import NamedTuple
 from urllib.parse import unquote
 
-from revisit.service.capacity.newcomers import ADDRESS_NEWCOMERS, holder_of
+from revisit.service.capacity.unauthenticated_limits import UNAUTHENTICATED_PER_ADDRESS, holder_of
 
 LOOK_S = 1.0
 """How often the connections are looked up."""
@@ -32,14 +32,14 @@ class Endpoint(NamedTuple):
     port: int
 
 
-class Strangers:
+class UnauthenticatedConnections:
     """Of each address so many connections may be open over which nobody was admitted; older ones go first."""
 
-    def __init__(self, most: int = ADDRESS_NEWCOMERS) -> None:
+    def __init__(self, most: int = UNAUTHENTICATED_PER_ADDRESS) -> None:
         """`most` of each address."""
         self._most = most
         self._admitted: set[Endpoint] = set()
-        self._strangers: dict[Endpoint, None] = {}
+        self._unauthenticated: dict[Endpoint, None] = {}
 
     def admit(self, peer: str) -> None:
         """Somebody was admitted over the connection from `peer`, which is written as gRPC does."""
@@ -55,10 +55,10 @@ class Strangers:
             self.end_those_beyond(present)
 
     def end_those_beyond(self, present: dict[Endpoint, int]) -> None:
-        """End the strangers among the connections that are `present`, with their files, that are too many."""
-        self._strangers = {end: None for end in self._strangers if end in present} | dict.fromkeys(present)
+        """End the unauthenticated connections beyond the limit among those `present`, with their files."""
+        self._unauthenticated = {end: None for end in self._unauthenticated if end in present} | dict.fromkeys(present)
         by_holder: dict[str, list[Endpoint]] = defaultdict(list)
-        for end in self._strangers:
+        for end in self._unauthenticated:
             if end not in self._admitted:
                 by_holder[holder_of(end.address)].append(end)
         for ends in by_holder.values():
@@ -67,7 +67,7 @@ class Strangers:
 
 
 def endpoint_of(peer: str) -> Endpoint:
-    """Of what gRPC calls a peer: ipv4:1.2.3.4:5 or ipv6:%5B::1%5D:5; of another one its whole name."""
+    """Of gRPC's name of a peer: ipv4:1.2.3.4:5 or ipv6:%5B::1%5D:5; of another one its whole name."""
     address, _, port = unquote(peer).partition(":")[2].rpartition(":")
     if not port.isdecimal():
         return Endpoint(peer, 0)

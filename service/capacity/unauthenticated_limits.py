@@ -19,7 +19,7 @@ from functools import lru_cache
 from revisit.service.capacity.call_pace import MOST_BUCKETS, bucket_of
 from revisit.service.capacity.in_flight import TokenBucket
 
-ADDRESS_NEWCOMERS = 256
+UNAUTHENTICATED_PER_ADDRESS = 256
 """Of one address at the same time. Behind one address may be a fleet or a proxy, and its connections stay
 unauthenticated for some milliseconds; half the bound of the HTTP side.
 """
@@ -54,7 +54,7 @@ class ArrivalRates:
     Authenticated ones do not count: a fleet behind one address, with keys, never comes near.
     """
 
-    stranger_per_s: float = 30.0
+    anonymous_per_s: float = 30.0
     """Of one address, that show no credential."""
     unknown_per_s: float = 100.0
     """Of one address, that show a credential which is not known, or that are encrypted, so that nothing can be seen."""
@@ -66,15 +66,15 @@ class ArrivalRates:
     burst_s: float = 2.0
 
 
-class Newcomers:
-    """One too many of an address takes the place of the one of that address that has been a newcomer the longest.
+class UnauthenticatedLimits:
+    """One too many of an address closes the oldest unauthenticated one of that address.
 
     All calls come from the event loop.
     """
 
     def __init__(
         self,
-        most: int = ADDRESS_NEWCOMERS,
+        most: int = UNAUTHENTICATED_PER_ADDRESS,
         rates: ArrivalRates = ArrivalRates(),
         now_s: Callable[[], float] = time.monotonic,
     ) -> None:
@@ -132,7 +132,7 @@ class Newcomers:
 
     def _buckets_of(self, address: str, shown: Shown) -> tuple[TokenBucket, ...]:
         rates, now_s = self._rates, self._now_s()
-        per_s = rates.unknown_per_s if shown is Shown.UNKNOWN else rates.stranger_per_s
+        per_s = rates.unknown_per_s if shown is Shown.UNKNOWN else rates.anonymous_per_s
         of = {
             (shown, "address", holder_of(address)): per_s,
             (shown, "network", network_of(address)): per_s * rates.network_times,
@@ -153,7 +153,7 @@ class Newcomers:
         return lambda: self._settle(holder, number)
 
     def of(self, address: str) -> int:
-        """How many newcomers this address has."""
+        """The number of unauthenticated connections of this address."""
         return len(self._by_holder.get(holder_of(address), ()))
 
     def _settle(self, holder: str, number: int) -> None:
