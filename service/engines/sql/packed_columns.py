@@ -142,7 +142,8 @@ def _packed_covariance(covariance: list[list[float]]) -> list[float]:
     The product of rounded factors is still a valid covariance.
     """
     factor = np.linalg.cholesky(np.array(covariance, dtype=np.float64))
-    exponents = np.frexp(np.abs(factor).max(axis=1))[1]
+    largest, exponents = np.frexp(np.abs(factor).max(axis=1))
+    exponents += largest.astype(np.float16) == 1.0  # as of what is read back, which has rounded up to 1
     return [*exponents.tolist(), *np.ldexp(factor, -exponents[:, None])[_LOWER].tolist()]
 
 
