@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import subprocess
 import sys
 import tempfile
@@ -15,6 +16,15 @@ ROOT = Path(__file__).resolve().parents[2]
 VERSION = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["version"]
 STORES = Path(__file__).parent / "stores"
 APIS = Path(__file__).parent / "apis"
+REFERENCE = ROOT / "docs/reference"
+NAMES = {
+    "sdk.md": r"\bclient(?:\.\w+)+",
+    "cli.md": r"(?<=^## )revisit .+$",
+    "settings.md": r"(?<=^### )REVISIT_\w+$",
+    "errors.md": r"(?<=^## )[A-Z_]+$",
+}
+"""Page of the reference that is written from the code -> the names on it that users write."""
+
 THE_SAME_TIME = (2026, 1, 1, 0, 0, 0)
 
 
@@ -29,6 +39,12 @@ def write_api(file: Path) -> None:
     built = buf("build", "--exclude-source-info", "-o", str(file))
     if built.returncode:
         raise RuntimeError(built.stderr)
+
+
+def public_names() -> set[str]:
+    """Methods of the SDK, commands, settings and error codes of this version."""
+    pages = {page: (REFERENCE / page).read_text().partition("## For tests")[0] for page in NAMES}
+    return {name for page, words in NAMES.items() for name in re.findall(words, pages[page], re.MULTILINE)}
 
 
 def write_store(file: Path) -> None:
@@ -46,3 +62,4 @@ def write_store(file: Path) -> None:
 if __name__ == "__main__":
     write_store(STORES / f"release-{VERSION}.zip")
     write_api(APIS / f"release-{VERSION}.binpb")
+    (APIS / f"release-{VERSION}.txt").write_text("\n".join(sorted(public_names())) + "\n")
