@@ -62,7 +62,7 @@ def _last_held(client: Client, session: Session, recording: Recording) -> int:
         if client.holds_scan(session, session.committed_seq, scan.points, scan.T_odom_sensor, scan.stamp_ns):
             return index
     message = (
-        f"{session.name} ends with a scan that {recording.name} does not have at its place (scan "
+        f"{session.name} ends with a scan that {recording.name} does not have at its position (scan "
         f"{session.committed_seq}, stamp {session.committed_stamp_ns} ns). Another recording, or this one read with "
         "other options? Give this one a session of its own, with --session NAME"
     )

@@ -41,7 +41,7 @@ DEFAULT_WINDOW_BYTES = 8 * 2**20
 
 @dataclass(frozen=True)
 class _Pending:
-    """A scan that is not acknowledged; its number is its place after the committed one."""
+    """A scan that is not acknowledged; its number is its position after the committed one."""
 
     cloud: Cloud
     pose: Json

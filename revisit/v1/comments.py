@@ -454,7 +454,7 @@ COMMENTS = {
     'revisit.v1.SubmapPose.frame': 'The frame that the pose is in: poses of different frames have nothing to do with each other.',
     'revisit.v1.SubmapPose.submap': 'maps/{map}/sessions/{session}/submaps/{submap}',
     'revisit.v1.SubmapService': 'Submaps: what a robot saw over a few metres of travel.',
-    'revisit.v1.SubmapService.DeleteSubmap': 'Delete a submap, its loop closures and its place in the index.',
+    'revisit.v1.SubmapService.DeleteSubmap': 'Delete a submap, its loop closures and its entry in the index.',
     'revisit.v1.SubmapService.DownloadSubmap': 'Download a submap as a file, in chunks of at most 1 MiB.',
     'revisit.v1.SubmapService.GetSubmap': 'Get a submap.',
     'revisit.v1.SubmapService.ListSubmaps': 'List the submaps of a session in their order.',

@@ -89,7 +89,7 @@ class SubmapServiceServicer:
         raise NotImplementedError('Method not implemented!')
 
     def DeleteSubmap(self, request, context):
-        """Delete a submap, its loop closures and its place in the index.
+        """Delete a submap, its loop closures and its entry in the index.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')

@@ -324,12 +324,12 @@ class InFlight:
 
 
 class Turns:
-    """Shares a few places between tenants, however much one of them asks for. All calls come from the event loop."""
+    """Shares a few slots between tenants, however much one of them asks for. All calls come from the event loop."""
 
-    def __init__(self, places: int, of_tenant: int | None = None) -> None:
-        """At most `places` are working, of them `of_tenant` of one tenant (None: as many as there are)."""
-        self._free = places
-        self._of_tenant = of_tenant or places
+    def __init__(self, slots: int, of_tenant: int | None = None) -> None:
+        """At most `slots` are working, of them `of_tenant` of one tenant (None: as many as there are)."""
+        self._free = slots
+        self._of_tenant = of_tenant or slots
         self._working: Counter[TenantId] = Counter()
         self._waiting: dict[TenantId, deque[asyncio.Future[None]]] = {}
 
@@ -346,7 +346,7 @@ class Turns:
             self._leave(tenant, turn)
 
     def _give(self) -> None:
-        """Give free places to the tenants that have waited longest since their last turn."""
+        """Give free slots to the tenants that have waited longest since their last turn."""
         for tenant in tuple(self._waiting):
             if self._free and self._working[tenant] < self._of_tenant:
                 queue = self._waiting.pop(tenant)

@@ -37,7 +37,7 @@ OPTIONS = (
     ("grpc.max_send_message_length", MAX_MESSAGE_BYTES),
     ("grpc.max_metadata_size", MAX_METADATA_BYTES),
     ("grpc.max_concurrent_streams", MAX_CONCURRENT_CALLS),
-    ("grpc.server_handshake_timeout_ms", 10_000),  # by default 2 min, in which a silent socket holds its place
+    ("grpc.server_handshake_timeout_ms", 10_000),  # by default 2 min, in which a silent socket holds its slot
     ("grpc.max_connection_idle_ms", 300_000),
     ("grpc.keepalive_time_ms", 30_000),
     ("grpc.keepalive_timeout_ms", 10_000),

@@ -118,7 +118,7 @@ class MapTiles:
         return await self._lists.page(tenant, page, find, lambda _, view: view)
 
     async def make(self, tenant: TenantId, key: TileKey) -> None:
-        """Wait until a tile is there: a download then holds no place meanwhile. Raises as `download`."""
+        """Wait until a tile is there: a download then holds no slot meanwhile. Raises as `download`."""
         await self._made(tenant, key)
 
     async def download(

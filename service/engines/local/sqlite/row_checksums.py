@@ -31,7 +31,7 @@ def add_function(connection: sqlite3.Connection) -> None:
 
 
 def keep_checksums(connection: sqlite3.Connection) -> None:
-    """From now on every row that this connection writes gets its checksum, in every table that has a place for it."""
+    """From now on every row that this connection writes gets its checksum, in every table that has a column for it."""
     add_function(connection)
     for table, columns in _tables(connection).items():
         update = f"{_update(table, columns)} WHERE rowid = NEW.rowid"
