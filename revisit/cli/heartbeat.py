@@ -10,14 +10,14 @@ from types import TracebackType
 from typing import Self
 
 AFTER_S = 1.5
-LOOK_S = 0.25
+POLL_S = 0.25
 
 
 class Heartbeat:
     """Shows, once each, work that takes longer than `after_s`; nothing while a bar is shown."""
 
     def __init__(
-        self, doing: str, tell: Callable[[str], None], *, after_s: float = AFTER_S, look_s: float = LOOK_S
+        self, doing: str, tell: Callable[[str], None], *, after_s: float = AFTER_S, look_s: float = POLL_S
     ) -> None:
         """`doing` is the first piece of work; each line is given to `tell`, in a thread of its own."""
         self._tell = tell

@@ -10,7 +10,7 @@ if TYPE_CHECKING:
     from revisit.sdk.client import Client
     from revisit.sdk.resources import Operation
 
-LOOK_S = 1.0
+POLL_S = 1.0
 """How often a person sees how an operation stands."""
 
 
@@ -20,7 +20,7 @@ def waited(client: Client, operation: Operation, *, quiet: bool) -> Operation:
         task = bar.add_task("QUEUED", total=1)
         while True:
             try:
-                done = client.wait(operation, LOOK_S)
+                done = client.wait(operation, POLL_S)
             except TimeoutError:
                 current = client.get_operation(operation.name)
                 stands = current.progress

@@ -34,7 +34,7 @@ MOST_CALLS_A_BODY = 20
 REFUSED_FOR_S = 1.0
 """For so long after a client was refused for its rate, its calls come at the pace of `over_rate_calls_per_s`."""
 
-LOOK_S, LOOKS = 0.004, 6
+POLL_S, POLLS = 0.004, 6
 """So often, and for so long, such a call looks whether clouds of other tenants are stored just now: they go first."""
 
 
@@ -102,7 +102,7 @@ class CallPace:
             await self._wait(self._callers, buckets)
             return
         await self._wait(self._callers, (*buckets, self._bucket(over_rate, self._limits.over_rate_calls_per_s)))
-        await wait_while(partial(self._others_wait, tenant), LOOK_S, LOOKS, self._sleep)
+        await wait_while(partial(self._others_wait, tenant), POLL_S, POLLS, self._sleep)
 
     def note_refused(self, tenant: TenantId, client: str) -> None:
         """The client was told to come back later: if it does not wait by itself, it waits here."""

@@ -41,7 +41,7 @@ BESIDE_OTHERS = 3
 the interpreter and the writer; more of them only make the others' wait longer."""
 
 OTHERS_S = 5.0
-LOOK_S, LOOKS = 0.005, 10
+POLL_S, POLLS = 0.005, 10
 """A further cloud of the tenant looks so often, and goes on in any case afterwards."""
 
 
@@ -94,13 +94,13 @@ class TokenBucket:
 
 
 async def wait_while(
-    condition: Callable[[], bool], look_s: float, looks: int, sleep: Callable[[float], Awaitable[None]]
+    condition: Callable[[], bool], poll_s: float, polls: int, sleep: Callable[[float], Awaitable[None]]
 ) -> None:
-    """Return once `condition` does not hold; it is looked at every `look_s` seconds, `looks` times and no longer."""
-    for _ in range(looks):
+    """Return once `condition` does not hold; it is checked every `poll_s` seconds, at most `polls` times."""
+    for _ in range(polls):
         if not condition():
             return
-        await sleep(look_s)
+        await sleep(poll_s)
 
 
 @dataclass(eq=False)
@@ -244,7 +244,7 @@ class InFlight:
         def crowded() -> bool:
             return self._clouds[tenant] >= BESIDE_OTHERS and self._beside_others(tenant)
 
-        await wait_while(crowded, LOOK_S, LOOKS, self._sleep)
+        await wait_while(crowded, POLL_S, POLLS, self._sleep)
 
     def _beside_others(self, tenant: TenantId) -> bool:
         """Whether another tenant has sent a cloud of late."""

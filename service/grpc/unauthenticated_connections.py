@@ -19,7 +19,7 @@ from urllib.parse import unquote
 
 from revisit.service.capacity.unauthenticated_limits import UNAUTHENTICATED_PER_ADDRESS, holder_of
 
-LOOK_S = 1.0
+POLL_S = 1.0
 """How often the connections are looked up."""
 
 FILES = Path("/proc/self/fd")
@@ -48,7 +48,7 @@ class UnauthenticatedConnections:
     async def watch(self, port: int) -> None:
         """Look every now and then until cancelled."""
         while FILES.is_dir():
-            await asyncio.sleep(LOOK_S)
+            await asyncio.sleep(POLL_S)
             before = set(self._admitted)
             present = await asyncio.to_thread(_connections, port)
             self._admitted -= before - present.keys()

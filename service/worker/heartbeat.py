@@ -21,7 +21,7 @@ from revisit.service.ports.transactions import Transactions, UnitOfWork
 BEATS_PER_LEASE = 5
 """So that a lease outlives four lost beats: every 2 s for a lease of 10 s."""
 
-LOOK_EVERY_S = 0.5
+POLL_EVERY_S = 0.5
 
 ORPHANED = 75
 """Exit status of a worker without its gateway (EX_TEMPFAIL)."""
@@ -103,7 +103,7 @@ class Heartbeat:
     def _keep_alive(self) -> None:
         beat_every_s = self._lease_ms / 1000 / BEATS_PER_LEASE
         beaten_s = time.monotonic()
-        while not self._ended.wait(min(beat_every_s, LOOK_EVERY_S)):
+        while not self._ended.wait(min(beat_every_s, POLL_EVERY_S)):
             if self._identity.orphaned:
                 os._exit(ORPHANED)
             self._end_overtime()

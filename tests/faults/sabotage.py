@@ -453,14 +453,14 @@ SABOTAGES = (
     ),
     Sabotage(
         "everyone who watches looks at the log",
-        {f"{SERVICE}features.waiting.event_tail:EventTail._look": lambda _look: lambda glance: glance._read_tail()},
-        "tests/unit/service/test_glance.py::test_many_who_watch_cause_one_look_at_a_time",
+        {f"{SERVICE}features.waiting.event_tail:EventTail._poll": lambda _poll: lambda tail: tail._read_tail()},
+        "tests/unit/service/test_event_tail.py::test_many_who_watch_cause_one_look_at_a_time",
         quick=True,
     ),
     Sabotage(
         "everyone who waits looks for the own operation",
         {f"{SERVICE}features.waiting.shared_poll:SharedPoll.has_come": _alone},
-        "tests/unit/service/test_shared_looks.py::test_all_that_wait_beside_one_key_are_told_by_one_read",
+        "tests/unit/service/test_shared_poll.py::test_all_that_wait_beside_one_key_are_told_by_one_read",
     ),
     Sabotage(
         "a page token is good for every tenant",

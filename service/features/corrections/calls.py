@@ -45,11 +45,11 @@ class CorrectionView:
 class Corrections:
     """Get and watch the corrections of sessions."""
 
-    def __init__(self, storage: Storage, admission: Admission, glance: EventTail) -> None:
-        """Watching ends when `admission` says that the service stops; `glance` sees that there is news."""
+    def __init__(self, storage: Storage, admission: Admission, tail: EventTail) -> None:
+        """Watching ends when `admission` says that the service stops; `tail` sees that there is news."""
         self._storage = storage
         self._admission = admission
-        self._glance = glance
+        self._tail = tail
 
     async def get(self, tenant: TenantId, key: SessionKey) -> CorrectionView:
         """By the version in force. Raises NotFound; NotReady where that does not have the session."""
@@ -65,14 +65,14 @@ class Corrections:
         """
         early, happened = dict[str, int](), False
         while not self._admission.stopping:
-            looked_at = self._glance.last
+            looked_at = self._tail.last
             known = partial(_newer, tenant=tenant, map_id=map_id, after=after, session_id=session_id, early=early)
             after, corrections = await self._storage.read(known)
             for correction in corrections:
                 early[correction.session.session_id] = correction.early_loops
                 yield correction
             at_most_s = SOON_S if happened else AGAIN_S
-            happened = await self._glance.beyond(tenant, map_id, looked_at, at_most_s)
+            happened = await self._tail.beyond(tenant, map_id, looked_at, at_most_s)
 
 
 def _correction(uow: UnitOfWork, tenant: TenantId, key: SessionKey) -> CorrectionView:

@@ -60,7 +60,7 @@ class Events:
 
     storage: Storage
     admission: Admission
-    glance: EventTail
+    tail: EventTail
     turns: Turns = field(default_factory=lambda: Turns(BATCHES_AT_A_TIME))
     heartbeat_s: float = field(default=HEARTBEAT_S)
 
@@ -92,8 +92,8 @@ class Events:
                         yield event
                 continue
             began_s = asyncio.get_running_loop().time()
-            await self.glance.beyond(tenant, map_id, seen, min(AGAIN_S, self.heartbeat_s - silent_s))
-            last = max(last, self.glance.last)
+            await self.tail.beyond(tenant, map_id, seen, min(AGAIN_S, self.heartbeat_s - silent_s))
+            last = max(last, self.tail.last)
             silent_s += asyncio.get_running_loop().time() - began_s
             if silent_s >= self.heartbeat_s:
                 silent_s = 0.0

@@ -63,13 +63,13 @@ class Loops:
     """Get, list and watch loop closures."""
 
     def __init__(
-        self, storage: Storage, lists: Lists, admission: Admission, glance: EventTail, writes: ReadYourWrites
+        self, storage: Storage, lists: Lists, admission: Admission, tail: EventTail, writes: ReadYourWrites
     ) -> None:
-        """Watching ends when `admission` says that the service stops; `glance` sees that there is news."""
+        """Watching ends when `admission` says that the service stops; `tail` sees that there is news."""
         self._storage = storage
         self._lists = lists
         self._admission = admission
-        self._glance = glance
+        self._tail = tail
         self._writes = writes
 
     async def get(self, tenant: TenantId, map_id: str, loop_id: str) -> LoopClosureView:
@@ -107,13 +107,13 @@ class Loops:
         """
         seen = min(after, _LAST_NUMBER)
         while not self._admission.stopping:
-            looked_at = self._glance.last
+            looked_at = self._tail.last
             views = await self._accepted_after(tenant, map_id, seen, session_id)
             for view in views:
                 seen = view.number
                 yield view
             if not views:
-                await self._glance.beyond(tenant, map_id, looked_at)
+                await self._tail.beyond(tenant, map_id, looked_at)
 
     async def _accepted_after(
         self, tenant: TenantId, map_id: str, after: int, session_id: str | None

@@ -35,7 +35,7 @@ class Operations:
         self._lists = lists
         self._admission = admission
         self._clock = clock
-        self._looks = SharedPoll(storage, _unfinished)
+        self._polls = SharedPoll(storage, _unfinished)
 
     async def get(self, tenant: TenantId, operation_id: str) -> OperationView:
         """Raises NotFound."""
@@ -92,7 +92,7 @@ class Operations:
         """Return once the operation has ended, or nobody waits any longer, or so many seconds are over."""
         deadline, pause = time.monotonic() + timeout_s, _PAUSE_S[0]
         while (left := deadline - time.monotonic()) > 0 and not (self._admission.stopping or wait.abandoned):
-            if await self._looks.has_come(tenant, operation_id, min(pause, left)):
+            if await self._polls.has_come(tenant, operation_id, min(pause, left)):
                 return
             pause = min(pause * 1.5, _PAUSE_S[1])
 

@@ -65,7 +65,7 @@ class System:
         self._disk = disk
         self._index = index
         self._version = version
-        self._looking: asyncio.Task[Readiness] | None = None
+        self._checking: asyncio.Task[Readiness] | None = None
 
     async def readiness(self) -> Readiness:
         """Ready when the database answers, the index is loaded and the service is not draining.
@@ -76,11 +76,11 @@ class System:
             return Readiness(False, ("draining",))
         if self._index.loading:
             return Readiness(False, ("the index is being loaded",))
-        if self._looking is None or self._looking.done():
-            self._looking = asyncio.create_task(self._look())
-        return await asyncio.shield(self._looking)
+        if self._checking is None or self._checking.done():
+            self._checking = asyncio.create_task(self._checked())
+        return await asyncio.shield(self._checking)
 
-    async def _look(self) -> Readiness:
+    async def _checked(self) -> Readiness:
         try:
             workers = await self._storage.read(self._alive)
         except RevisitError as error:

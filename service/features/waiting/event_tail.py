@@ -8,7 +8,7 @@ from revisit.service.capacity.admission import Admission
 from revisit.service.domain.identity import TenantId
 from revisit.service.ports.storage import Storage
 
-LOOK_EVERY_S = 0.2
+POLL_EVERY_S = 0.2
 """How often the log of events is looked at while anybody watches."""
 
 AGAIN_S = 1.0
@@ -24,7 +24,7 @@ class EventTail:
     A watch holds nothing but the number up to which it has read, so a client that reads slowly costs no memory.
     """
 
-    def __init__(self, storage: Storage, admission: Admission, every_s: float = LOOK_EVERY_S) -> None:
+    def __init__(self, storage: Storage, admission: Admission, every_s: float = POLL_EVERY_S) -> None:
         """At most one look in `every_s` seconds. Waiting ends when `admission` says that the service stops."""
         self._storage = storage
         self._admission = admission
@@ -43,7 +43,7 @@ class EventTail:
         """Wait until something happened in the map after the log had `number`, or for so long; which of the two."""
         until_s = asyncio.get_running_loop().time() + at_most_s
         while not self._admission.stopping:
-            await self._look()
+            await self._poll()
             if self._newest_in(tenant, map_id) > number:
                 return True
             if asyncio.get_running_loop().time() >= until_s:
@@ -55,7 +55,7 @@ class EventTail:
         known = (self._newest.get((tenant, of), self._forgotten) for of in (map_id, ""))
         return max(known)
 
-    async def _look(self) -> None:
+    async def _poll(self) -> None:
         if self._next is None or self._next.done():
             self._next = asyncio.create_task(self._read_tail())
         await asyncio.shield(self._next)

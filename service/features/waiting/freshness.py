@@ -44,7 +44,7 @@ class ReadYourWrites:
         """Waiting ends when `admission` says that the service stops."""
         self._storage = storage
         self._admission = admission
-        self._looks = SharedPoll(storage, _not_described)
+        self._polls = SharedPoll(storage, _not_described)
 
     async def reached(self, tenant: TenantId, map_id: str, wanted: Freshness) -> None:
         """Return once all reads from now on satisfy `wanted`.
@@ -58,7 +58,7 @@ class ReadYourWrites:
             return
         if await self._storage.read(lambda uow: _last(uow, tenant, map_id)) < min_seq:
             raise SeqNotReached(f"no submap with seq {min_seq} was stored", field="min_seq")
-        if await self._looks.has_come((tenant, map_id), min_seq, 0.0):
+        if await self._polls.has_come((tenant, map_id), min_seq, 0.0):
             return
         with waiting() as wait:
             if not await self._comes((tenant, map_id), wanted, wait):
@@ -71,7 +71,7 @@ class ReadYourWrites:
         deadline, pause = time.monotonic() + wanted.timeout_s, _PAUSE_S[0]
         while (left := deadline - time.monotonic()) > 0.0 and not wait.abandoned:
             self._admission.require_running()
-            if await self._looks.has_come(of, wanted.min_seq, min(pause, left)):
+            if await self._polls.has_come(of, wanted.min_seq, min(pause, left)):
                 return True
             pause = min(pause * 1.5, _PAUSE_S[1])
         return False

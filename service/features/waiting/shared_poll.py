@@ -21,34 +21,34 @@ class SharedPoll(Generic[K, I]):
         """`not_come` says which of the items of a key are still to be waited for."""
         self._storage = storage
         self._not_come = not_come
-        self._looks: dict[K, _Look[I]] = {}
+        self._polls: dict[K, _Poll[I]] = {}
         self._reading: set[asyncio.Task[None]] = set()
 
     async def has_come(self, key: K, item: I, within_s: float) -> bool:
         """Poll within so many seconds, with all waiters; whether `item` has come. Raises the errors of the query."""
-        look = self._looks.get(key)
-        if look is None:
-            look = self._looks[key] = _Look()
-        look.items.add(item)
-        look.begin_within(within_s, partial(self._begin, key))
-        return item not in await asyncio.shield(look.outcome)
+        poll = self._polls.get(key)
+        if poll is None:
+            poll = self._polls[key] = _Poll()
+        poll.items.add(item)
+        poll.begin_within(within_s, partial(self._begin, key))
+        return item not in await asyncio.shield(poll.outcome)
 
     def _begin(self, key: K) -> None:
-        reading = asyncio.get_running_loop().create_task(self._read(key, self._looks.pop(key)))
+        reading = asyncio.get_running_loop().create_task(self._read(key, self._polls.pop(key)))
         self._reading.add(reading)
         reading.add_done_callback(self._reading.discard)
 
-    async def _read(self, key: K, look: _Look[I]) -> None:
-        items = frozenset(look.items)
+    async def _read(self, key: K, poll: _Poll[I]) -> None:
+        items = frozenset(poll.items)
         try:
-            look.outcome.set_result(await self._storage.read(lambda uow: self._not_come(uow, key, items)))
+            poll.outcome.set_result(await self._storage.read(lambda uow: self._not_come(uow, key, items)))
         except Exception as error:  # noqa: BLE001  # all waiters get the error
-            look.outcome.set_exception(error)
+            poll.outcome.set_exception(error)
             # They may all have gone away meanwhile.
-            look.outcome.exception()
+            poll.outcome.exception()
 
 
-class _Look(Generic[I]):
+class _Poll(Generic[I]):
     """A coming poll, and its items."""
 
     def __init__(self) -> None:

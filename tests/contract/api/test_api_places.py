@@ -209,7 +209,7 @@ async def test_connections_beyond_those_that_may_be_open_are_closed_at_once_unti
 
 
 async def test_connections_of_one_address_over_which_nobody_was_admitted_give_way_to_newer_ones(monkeypatch):
-    monkeypatch.setattr(unauthenticated_connections, "LOOK_S", 0.01)
+    monkeypatch.setattr(unauthenticated_connections, "POLL_S", 0.01)
     known = unauthenticated_connections.UnauthenticatedConnections(2)
     async with small_server(unauthenticated=known) as port, channels(f"127.0.0.1:{port}", 1) as (channel,):
         stub = map_pb2_grpc.MapServiceStub(channel)

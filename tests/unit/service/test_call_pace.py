@@ -199,7 +199,7 @@ async def test_whoever_was_refused_for_its_rate_lets_clouds_of_others_go_first_f
     await pace.turn("acme", "other")
     assert waited == []
     await pace.turn("acme", "robot")
-    assert waited == (call_pace.LOOKS if others_end_after is None else others_end_after) * [call_pace.LOOK_S]
+    assert waited == (call_pace.POLLS if others_end_after is None else others_end_after) * [call_pace.POLL_S]
 
 
 async def test_those_that_were_refused_longest_ago_are_forgotten(pace, monkeypatch):

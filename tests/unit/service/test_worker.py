@@ -49,7 +49,7 @@ async def test_a_worker_ends_after_its_number_of_jobs(world):
 
 async def test_a_worker_whose_gateway_is_gone_begins_no_job(world, monkeypatch):
     # The heartbeat would end this process.
-    monkeypatch.setattr(heartbeat, "LOOK_EVERY_S", 3600.0)
+    monkeypatch.setattr(heartbeat, "POLL_EVERY_S", 3600.0)
     monkeypatch.setattr(heartbeat, "BEATS_PER_LEASE", 0.001)
     limits = WorkerLimits(jobs=2, recycled_at_bytes=64 * GIB, job_timeout_s=60)
     assert run_worker(world, limits, parent_pid=os.getpid()) == 0

@@ -50,7 +50,7 @@ def store(world):
 
 
 @pytest.fixture
-def glance(store):
+def tail(store):
     return EventTail(store, SimpleNamespace(stopping=False), every_s=0.0)
 
 
@@ -60,20 +60,20 @@ def note(world, map_id, tenant="acme"):
     ).result()
 
 
-async def watching(glance, *map_ids, tenant="acme"):
+async def watching(tail, *map_ids, tenant="acme"):
     """Watches that have read as far as the log goes."""
-    calls = [asyncio.create_task(glance.beyond(tenant, map_id, glance.last, 3600.0)) for map_id in map_ids]
+    calls = [asyncio.create_task(tail.beyond(tenant, map_id, tail.last, 3600.0)) for map_id in map_ids]
     await asyncio.sleep(0)
     return calls
 
 
-async def test_many_who_watch_cause_one_look_at_a_time(glance, store, world):
+async def test_many_who_watch_cause_one_look_at_a_time(tail, store, world):
     note(world, "town")
-    begun = await watching(glance, *["town"] * WATCHES)
+    begun = await watching(tail, *["town"] * WATCHES)
     await store.look()
     assert store.asked == 1
     assert await asyncio.gather(*begun) == [True] * WATCHES
-    begun = await watching(glance, *["town"] * WATCHES)
+    begun = await watching(tail, *["town"] * WATCHES)
     await store.look(times=4)
     assert not any(watch.done() for watch in begun)
     assert store.asked == 1 + 4 + 1  # the last one has been asked for and waits
@@ -81,10 +81,10 @@ async def test_many_who_watch_cause_one_look_at_a_time(glance, store, world):
         watch.cancel()
 
 
-async def test_only_who_watches_the_map_is_woken(glance, store, world):
+async def test_only_who_watches_the_map_is_woken(tail, store, world):
     note(world, "town")
-    await asyncio.gather(*await watching(glance, "town"), store.look())
-    town, yard, others = (*await watching(glance, "town", "yard"), *await watching(glance, "town", tenant="other"))
+    await asyncio.gather(*await watching(tail, "town"), store.look())
+    town, yard, others = (*await watching(tail, "town", "yard"), *await watching(tail, "town", tenant="other"))
     note(world, "town")
     await store.look(times=2)
     assert (town.done(), yard.done(), others.done()) == (True, False, False)
@@ -96,21 +96,21 @@ async def test_only_who_watches_the_map_is_woken(glance, store, world):
 
 async def test_who_waits_looks_again_after_a_while_and_when_the_service_stops(store):
     admission = SimpleNamespace(stopping=False)
-    glance = EventTail(store, admission, every_s=0.0)
-    waiting = asyncio.create_task(glance.beyond("acme", "town", 5, 0.0))
+    tail = EventTail(store, admission, every_s=0.0)
+    waiting = asyncio.create_task(tail.beyond("acme", "town", 5, 0.0))
     await store.look()
     assert not await waiting
     admission.stopping = True
-    assert not await glance.beyond("acme", "town", 5)
+    assert not await tail.beyond("acme", "town", 5)
 
 
 async def test_maps_that_are_no_longer_remembered_are_read_once_more_and_nothing_is_missed(
-    glance, store, world, monkeypatch
+    tail, store, world, monkeypatch
 ):
     monkeypatch.setattr(glance_module, "MOST_MAPS", 2)
     note(world, "town")
-    await asyncio.gather(*await watching(glance, "town"), store.look())
-    waiting = await watching(glance, "town")
+    await asyncio.gather(*await watching(tail, "town"), store.look())
+    waiting = await watching(tail, "town")
     for number in range(3):
         note(world, f"map-{number}")
     await store.look()
