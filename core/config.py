@@ -17,6 +17,8 @@ import numpy as np
 
 from revisit.core.errors import BadField
 
+ANGLE_BINS = 18
+"""Bins of the angles between regional normals, of ten degrees each (paper III-C)."""
 PROFILE_BINS = 256
 """Bins of the transform of a profile along a heading."""
 MAX_IMAGE_PX = 4096
@@ -81,6 +83,13 @@ def _check_range(name: str, value: float, low: float | None, high: float) -> Non
         least = "greater than 0" if low is None else f"at least {low:g}"
         most = "" if high == math.inf else f" and at most {high:g}"
         raise BadField(f"{name} must be {least}{most}, got {value!r}", field=name)
+
+
+class Profile(StrEnum):
+    """Which form of the method describes submaps: the product's, or the paper's as it is written (decision 0122)."""
+
+    PRODUCT = "product"
+    PAPER = "paper"
 
 
 class Loss(StrEnum):
@@ -627,6 +636,9 @@ class PipelineConfig:
     """
 
     scene_scale: float = parameter(1.0, "1", "own, decision 0009", "size of the scene compared with a street")
+    profile: Profile = parameter(
+        Profile.PRODUCT, "product or paper", "own, decision 0122", "which models describe, as `profile_config` sets it"
+    )
     submap: SubmapConfig = dataclasses.field(default_factory=SubmapConfig)
     implicit_map: ImplicitMapConfig = dataclasses.field(default_factory=ImplicitMapConfig)
     surface: SurfaceConfig = dataclasses.field(default_factory=SurfaceConfig)

@@ -42,6 +42,7 @@ class ErrorCode(StrEnum):
     NO_ANSWER = "NO_ANSWER"
     UNAUTHENTICATED = "UNAUTHENTICATED"
     PERMISSION_DENIED = "PERMISSION_DENIED"
+    EXTRA_MISSING = "EXTRA_MISSING"
     DATA_LOSS = "DATA_LOSS"
     INTERNAL = "INTERNAL"
 
@@ -122,6 +123,10 @@ class DataLoss(RevisitError):
     """Stored data is damaged."""
 
     code = ErrorCode.DATA_LOSS
+
+
+class MissingLibrary(ImportError):
+    """A library of an extra is not installed; the message says which extra brings it."""
 
 
 class FormerForm(DataLoss):

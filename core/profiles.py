@@ -3,24 +3,31 @@
 from __future__ import annotations
 
 import dataclasses
-from enum import StrEnum
+from typing import TYPE_CHECKING
 
-from revisit.core.config import Evaluation, Field, Fitting, KeypointSource, Loss, PipelineConfig
-from revisit.core.kernels.column_histograms import ANGLE_BINS
-from revisit.core.model_bundle import PACKAGED_FILE, ModelBundle, load_packaged_models
+from revisit.core.config import (
+    ANGLE_BINS,
+    Evaluation,
+    Field,
+    Fitting,
+    KeypointSource,
+    Loss,
+    PipelineConfig,
+    Profile,
+)
+
+if TYPE_CHECKING:
+    from revisit.core.model_bundle import ModelBundle
+
+__all__ = ["PAPER_FILE", "Profile", "profile_config", "profile_models"]
 
 PAPER_FILE = "paper-1.npz"
 
 
-class Profile(StrEnum):
-    """Which form of the method describes submaps."""
-
-    PRODUCT = "product"
-    PAPER = "paper"
-
-
 def profile_models(profile: Profile) -> ModelBundle:
     """The shipped models of a profile. Descriptors of different profiles are not comparable."""
+    from revisit.core.model_bundle import PACKAGED_FILE, load_packaged_models  # which bring the compiler
+
     return load_packaged_models(PAPER_FILE if profile is Profile.PAPER else PACKAGED_FILE)
 
 
@@ -37,6 +44,7 @@ def profile_config(profile: Profile, config: PipelineConfig = PipelineConfig()) 
     macro, micro = books.macro_centres * books.local_size, books.micro_centres * ANGLE_BINS
     return dataclasses.replace(
         config,
+        profile=Profile.PAPER,
         implicit_map=dataclasses.replace(
             config.implicit_map, field=Field.LEARNED, weight_power=1.0, loss=Loss.L1, fitting=Fitting.SCAN_BY_SCAN,
             update_decoder=True,

@@ -33,6 +33,7 @@ OF_AN_OPERATOR = {
     "submap.tau": ("REVISIT_TAU_M", "tau_m"),
     "submap.stride": ("REVISIT_STRIDE_M", "stride_m"),
     "scene_scale": ("", "scene_scale"),
+    "profile": ("", "profile"),
     "loop.leave_distance": ("REVISIT_LEAVE_DISTANCE_M", "leave_distance_m"),
     "loop.candidates": ("REVISIT_LOOP_CANDIDATES", "loop_policy.candidates"),
     "loop.enough": ("REVISIT_LOOPS_ENOUGH", ""),

@@ -44,6 +44,8 @@ ADVICE = {
     "UNAUTHENTICATED": "Send a valid API key, or ask whoever runs the service for one: `revisit keys create`.",
     "PERMISSION_DENIED": "Use a key with the scope that `detail` names; address the service by a name it knows "
     "(REVISIT_ALLOWED_HOSTS), and from its own pages only.",
+    "EXTRA_MISSING": "Install the extra that `detail` names where the workers run, start the service again, and queue "
+    "the operation again: `revisit operations --retry`.",
     "DATA_LOSS": "Restore the volume: a stored file is damaged. The log names it. A form no longer read is no damage: "
     "`revisit reembed MAP` makes it anew.",
     "INTERNAL": "A defect: report it with the request id and the log entry it leads to.",

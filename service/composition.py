@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, cast
 
 import structlog
 
+from revisit.core.config import Profile
 from revisit.service import VERSION
 from revisit.service.access_rules import access_rules
 from revisit.service.adapters.core_map_merger import CoreMapMerger
@@ -230,7 +231,8 @@ def run_worker(settings: Settings, worker_id: str | None, parent_pid: int | None
     for number in STOP_SIGNALS:
         signal.signal(number, lambda *_: stopping.set())
     context = build_context(settings, gateway=False, fail_stop=FailStop(lambda: os._exit(STORAGE_FAILED)))
-    identity = WorkerIdentity(worker_id or f"worker-{secrets.token_hex(4)}", recogniser.model_version, parent_pid)
+    model = recogniser.model_of(Profile.PRODUCT)
+    identity = WorkerIdentity(worker_id or f"worker-{secrets.token_hex(4)}", model, parent_pid)
     structlog.contextvars.bind_contextvars(worker=identity.worker_id)
     log.info("worker_ready", model_version=identity.model_version)
     limits = WorkerLimits(settings.jobs_per_worker, settings.worker_memory_mb * 2**20 * 3 // 4, settings.job_timeout_s)

@@ -57,6 +57,7 @@ STATUS: dict[ErrorCode, Status] = {
     ErrorCode.NO_ANSWER: Status(504, "DEADLINE_EXCEEDED", retryable=True),
     ErrorCode.UNAUTHENTICATED: Status(401, "UNAUTHENTICATED"),
     ErrorCode.PERMISSION_DENIED: Status(403, "PERMISSION_DENIED"),
+    ErrorCode.EXTRA_MISSING: Status(501, "UNIMPLEMENTED"),
     ErrorCode.DATA_LOSS: Status(500, "DATA_LOSS"),
     ErrorCode.INTERNAL: Status(500, "INTERNAL"),
 }

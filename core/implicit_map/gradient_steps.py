@@ -7,12 +7,14 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from revisit.core.errors import MissingLibrary
+
 try:
     import torch
     from torch import Tensor
-except ImportError as missing:
+except ModuleNotFoundError as missing:
     hint = "a learned field is fitted with torch, which is not installed: pip install 'revisit-loops[learned]'"
-    raise ImportError(hint, name="torch") from missing
+    raise MissingLibrary(hint, name="torch") from missing
 
 from revisit.core.config import ImplicitMapConfig, Loss
 from revisit.core.implicit_map.decoder import DecoderWeights

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from revisit.core.config import ANGLE_BINS
 from revisit.core.kernels.arcs import arc_tangent
 from revisit.core.kernels.loops import compiled, inlined, inner
 
@@ -13,7 +14,6 @@ Array = NDArray[np.float32]
 LATITUDE_BANDS = 4
 SECTORS = 18
 REGIONS = LATITUDE_BANDS * SECTORS
-ANGLE_BINS = 18
 MIN_MEMBERS = 8
 """Fewer vertices in a column say nothing."""
 

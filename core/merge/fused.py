@@ -1,8 +1,9 @@
 """One neural map out of several that are placed to each other.
 
-All of them are of one kind, tangent planes or learned with one decoder, so that a neural point means the same in each.
-Points are moved and turned into the frame of the map, and where two of them describe one spot the better supported
-stays. Latent features, where there are any, are fitted once more, to the fields that they came from.
+All of them are of one kind, tangent planes or learned, so that a neural point means the same in each. Points are moved
+and turned into the frame of the map, and where two of them describe one spot the better supported stays. Latent
+features, where there are any, are fitted once more, to the fields that they came from; where these have decoders of
+their own, for one of these decoders.
 """
 
 from __future__ import annotations
@@ -47,7 +48,8 @@ def merge_neural_maps(placed: Sequence[PlacedMap], seed: int = 0) -> NeuralMap:
     """The neural map of all of them in the frame of `T_map_submap`, lengths divided by their scene scale.
 
     The order of the maps does not matter where their points have different support. Raises BadField without maps and
-    for maps of different resolution or scale, DescriptorModelMismatch for maps of different decoders.
+    for maps of different resolution or scale, DescriptorModelMismatch where some are tangent planes and others
+    learned, MissingLibrary where learned ones are merged without torch.
     """
     config, decoder, scale = _shared(placed)
     moved = [_moved(one, scale) for one in placed]
@@ -58,9 +60,10 @@ def merge_neural_maps(placed: Sequence[PlacedMap], seed: int = 0) -> NeuralMap:
     stamps_ns, frame = np.concatenate([one.neural_map.stamps_ns for one in placed]), LevelFrame(scale=scale)
     if decoder is None:
         return NeuralMap.of_planes(points, stamps_ns, config, frame)
-    return _fitted(NeuralMap(
-        points, np.zeros((len(points), decoder.feature_size), np.float32), stamps_ns, decoder, config, frame
-    ), owner, placed, decoder, seed)  # fmt: skip
+    features = np.zeros((len(points), decoder.feature_size), np.float32)
+    adapted = any(one.neural_map.adapted for one in placed)
+    merged = NeuralMap(points, features, stamps_ns, decoder, config, frame, adapted)
+    return _fitted(merged, owner, placed, decoder, seed)
 
 
 def _fitted(
@@ -77,22 +80,23 @@ def _fitted(
 
 
 def _shared(placed: Sequence[PlacedMap]) -> tuple[ImplicitMapConfig, DecoderWeights | None, float]:
-    """The common parameters, decoder and scene scale of the maps."""
+    """The common parameters and scene scale of the maps; a decoder of theirs, whatever their order."""
     if not placed:
         raise BadField("there is no map to merge", field="maps")
     first = placed[0].neural_map
     for one in (other.neural_map for other in placed):
-        if _kind(one) != _kind(first):
-            raise DescriptorModelMismatch("neural maps of different decoders cannot be merged")
+        if (one.decoder is None) is not (first.decoder is None):
+            raise DescriptorModelMismatch("a learned neural map cannot be merged with one of tangent planes")
         if one.config.resolution != first.config.resolution:
             raise BadField("neural maps of different resolution cannot be merged", field="resolution")
         if not np.isclose(one.frame.scale, first.frame.scale):
             raise BadField("neural maps of different scene scale cannot be merged", field="scene_scale")
-    return first.config, first.decoder, first.frame.scale
+    decoder = min((one.neural_map for one in placed), key=_digest).decoder
+    return first.config, decoder, first.frame.scale
 
 
-def _kind(neural_map: NeuralMap) -> str:
-    """The digest of the decoder; "" for tangent planes."""
+def _digest(neural_map: NeuralMap) -> str:
+    """That of the decoder; "" for tangent planes."""
     return "" if neural_map.decoder is None else neural_map.decoder.digest
 
 

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from revisit.core.clusters import Clusters
-from revisit.core.config import Evaluation, MicroConfig
-from revisit.core.kernels.column_histograms import ANGLE_BINS, LATITUDE_BANDS, REGIONS, SECTORS, column_histograms
+from revisit.core.config import ANGLE_BINS, Evaluation, MicroConfig
+from revisit.core.kernels.column_histograms import LATITUDE_BANDS, REGIONS, SECTORS, column_histograms
 from revisit.core.micro.saliency import Saliency
 from revisit.core.stages import stage
 from revisit.core.surface import Surface

@@ -20,9 +20,10 @@ from revisit.core.geometry.se3 import Matrix4
 from revisit.core.geometry.upright import levelling
 from revisit.core.implicit_map import NeuralMap
 from revisit.core.index import FaissIndex, IndexEntry, Match, SearchFilter
-from revisit.core.model_bundle import ModelBundle, load_packaged_models
+from revisit.core.model_bundle import ModelBundle
 from revisit.core.pipeline import DescribedPlace, describe, describe_again, verify
 from revisit.core.place import Place
+from revisit.core.profiles import Profile, profile_config, profile_models
 from revisit.core.scan import Scan
 from revisit.core.submap import Submap
 from revisit.formats.map_file import FiledSubmap, MapDescription, MapFile
@@ -36,15 +37,20 @@ class AreaMap:
     """
 
     def __init__(self, file: MapFile, models: ModelBundle | None = None) -> None:
-        """Raises DescriptorModelMismatch where the map was described by other models than those here."""
+        """The models are by default those of the map's profile, of which the paper's take the extra `learned`.
+
+        Raises DescriptorModelMismatch where the map was described by other models than those here.
+        """
         self.file = file
-        self._models = models or load_packaged_models()
         # Behind the version stands the scale of the map, which `config_of` takes from its own field.
-        if file.description.model_version.partition("@scale-")[0] != self._models.version:
+        version = file.description.model_version.partition("@scale-")[0]
+        profile = Profile.PAPER if version == profile_models(Profile.PAPER).version else Profile.PRODUCT
+        self._models = models or profile_models(profile)
+        if version != self._models.version:
             raise DescriptorModelMismatch(
                 f"the map was described by {file.description.model_version}, here is {self._models.version}"
             )
-        self._config = config_of(file.description)
+        self._config = config_of(file.description, profile)
         self._places: dict[int, Place] = {}
         self._sessions = {
             name: number for number, name in enumerate(dict.fromkeys(one.session for one in file.submaps))
@@ -185,10 +191,10 @@ class AreaMap:
         return MapPose(T_map, submap.frame, int(self.file.description.map_version))
 
 
-def config_of(description: MapDescription) -> PipelineConfig:
-    """The parameters of the method with the overrides of the map."""
+def config_of(description: MapDescription, profile: Profile = Profile.PRODUCT) -> PipelineConfig:
+    """The parameters of the method in a profile, with the overrides of the map."""
     rules = ("min_score", "min_overlap", "max_seen_through")
-    return PipelineConfig().of_map(
+    return profile_config(profile).of_map(
         description.scene_scale,
         submap={"tau": description.tau_m, "stride": description.stride_m},
         loop={},

@@ -82,10 +82,11 @@ def _list_maps(client: Client, as_json: bool) -> None:
             one.submap_count,
             one.map_version or "-",
             one.scene_scale,
+            one.profile,
         )
         for one in found
     ]
-    emit_table("Maps", ("map", "name", "sessions", "submaps", "version", "scene scale"), rows)
+    emit_table("Maps", ("map", "name", "sessions", "submaps", "version", "scene scale", "profile"), rows)
 
 
 def _show_map(client: Client, map_id: str, as_json: bool) -> None:

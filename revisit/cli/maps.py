@@ -25,6 +25,30 @@ group.command("publish")(map_versions.publish)
 group.command("check")(map_versions.check)
 
 
+@group.command("create")
+def create(
+    map_id: Annotated[str, typer.Argument(metavar="MAP", help="Id of the new map.")],
+    display_name: Annotated[str, typer.Option("--name", help="Name for people.")] = "",
+    scene_scale: Annotated[
+        float | None, typer.Option(min=0.01, max=10.0, help="Size of its scene compared with a street.")
+    ] = None,
+    profile: Annotated[
+        str | None, typer.Option(help="product, or paper: the method as it is written; workers need torch.")
+    ] = None,
+    http: Http = HTTP,
+    json: Json = False,
+) -> None:
+    """Create a map; `revisit ingest` creates one that is missing, with nothing of its own."""
+    from revisit.sdk.client import Client
+
+    with Client(http) as client:
+        made = client.create_map(map_id, display_name=display_name, scene_scale=scene_scale, profile=profile)
+    if json:
+        emit_json(asdict(made))
+    else:
+        say(f"{made.name} is in the profile {made.profile}, its scene of scale {made.scene_scale:g}.")
+
+
 @group.command("optimise")
 def optimise(map_id: MapName = "default", http: Http = HTTP, json: Json = False) -> None:
     """Have a worker optimise the pose graph of a map, which becomes its new version.

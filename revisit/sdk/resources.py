@@ -71,7 +71,8 @@ class LoopPolicy(Resource):
 class Map(Resource):
     """A map; `scene_scale` is the size of its scene compared with a street, `loop_policy` has the values in force.
 
-    `map_version` is the version of its poses that answers rest on, 0 before the first.
+    `map_version` is the version of its poses that answers rest on, 0 before the first. `profile` is the form of the
+    method that describes its submaps, product or paper.
     """
 
     name: str
@@ -85,6 +86,7 @@ class Map(Resource):
     created_at_ns: int
     loop_policy: LoopPolicy = LoopPolicy()
     map_version: int = 0
+    profile: str = "product"
 
 
 @dataclass(frozen=True)

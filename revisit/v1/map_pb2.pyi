@@ -7,7 +7,7 @@ from typing import ClassVar as _ClassVar, Optional as _Optional, Union as _Union
 DESCRIPTOR: _descriptor.FileDescriptor
 
 class Map(_message.Message):
-    __slots__ = ("name", "display_name", "tau_m", "stride_m", "session_count", "submap_count", "created_at_ns", "scene_scale", "loop_policy", "map_version", "leave_distance_m")
+    __slots__ = ("name", "display_name", "tau_m", "stride_m", "session_count", "submap_count", "created_at_ns", "scene_scale", "loop_policy", "map_version", "leave_distance_m", "profile")
     NAME_FIELD_NUMBER: _ClassVar[int]
     DISPLAY_NAME_FIELD_NUMBER: _ClassVar[int]
     TAU_M_FIELD_NUMBER: _ClassVar[int]
@@ -19,6 +19,7 @@ class Map(_message.Message):
     LOOP_POLICY_FIELD_NUMBER: _ClassVar[int]
     MAP_VERSION_FIELD_NUMBER: _ClassVar[int]
     LEAVE_DISTANCE_M_FIELD_NUMBER: _ClassVar[int]
+    PROFILE_FIELD_NUMBER: _ClassVar[int]
     name: str
     display_name: str
     tau_m: float
@@ -30,7 +31,8 @@ class Map(_message.Message):
     loop_policy: LoopPolicy
     map_version: int
     leave_distance_m: float
-    def __init__(self, name: _Optional[str] = ..., display_name: _Optional[str] = ..., tau_m: _Optional[float] = ..., stride_m: _Optional[float] = ..., session_count: _Optional[int] = ..., submap_count: _Optional[int] = ..., created_at_ns: _Optional[int] = ..., scene_scale: _Optional[float] = ..., loop_policy: _Optional[_Union[LoopPolicy, _Mapping]] = ..., map_version: _Optional[int] = ..., leave_distance_m: _Optional[float] = ...) -> None: ...
+    profile: str
+    def __init__(self, name: _Optional[str] = ..., display_name: _Optional[str] = ..., tau_m: _Optional[float] = ..., stride_m: _Optional[float] = ..., session_count: _Optional[int] = ..., submap_count: _Optional[int] = ..., created_at_ns: _Optional[int] = ..., scene_scale: _Optional[float] = ..., loop_policy: _Optional[_Union[LoopPolicy, _Mapping]] = ..., map_version: _Optional[int] = ..., leave_distance_m: _Optional[float] = ..., profile: _Optional[str] = ...) -> None: ...
 
 class LoopPolicy(_message.Message):
     __slots__ = ("candidates", "min_score", "min_overlap", "max_seen_through")
@@ -45,7 +47,7 @@ class LoopPolicy(_message.Message):
     def __init__(self, candidates: _Optional[int] = ..., min_score: _Optional[float] = ..., min_overlap: _Optional[float] = ..., max_seen_through: _Optional[float] = ...) -> None: ...
 
 class CreateMapRequest(_message.Message):
-    __slots__ = ("map_id", "display_name", "tau_m", "stride_m", "scene_scale", "loop_policy", "leave_distance_m")
+    __slots__ = ("map_id", "display_name", "tau_m", "stride_m", "scene_scale", "loop_policy", "leave_distance_m", "profile")
     MAP_ID_FIELD_NUMBER: _ClassVar[int]
     DISPLAY_NAME_FIELD_NUMBER: _ClassVar[int]
     TAU_M_FIELD_NUMBER: _ClassVar[int]
@@ -53,6 +55,7 @@ class CreateMapRequest(_message.Message):
     SCENE_SCALE_FIELD_NUMBER: _ClassVar[int]
     LOOP_POLICY_FIELD_NUMBER: _ClassVar[int]
     LEAVE_DISTANCE_M_FIELD_NUMBER: _ClassVar[int]
+    PROFILE_FIELD_NUMBER: _ClassVar[int]
     map_id: str
     display_name: str
     tau_m: float
@@ -60,7 +63,8 @@ class CreateMapRequest(_message.Message):
     scene_scale: float
     loop_policy: LoopPolicy
     leave_distance_m: float
-    def __init__(self, map_id: _Optional[str] = ..., display_name: _Optional[str] = ..., tau_m: _Optional[float] = ..., stride_m: _Optional[float] = ..., scene_scale: _Optional[float] = ..., loop_policy: _Optional[_Union[LoopPolicy, _Mapping]] = ..., leave_distance_m: _Optional[float] = ...) -> None: ...
+    profile: str
+    def __init__(self, map_id: _Optional[str] = ..., display_name: _Optional[str] = ..., tau_m: _Optional[float] = ..., stride_m: _Optional[float] = ..., scene_scale: _Optional[float] = ..., loop_policy: _Optional[_Union[LoopPolicy, _Mapping]] = ..., leave_distance_m: _Optional[float] = ..., profile: _Optional[str] = ...) -> None: ...
 
 class CreateMapResponse(_message.Message):
     __slots__ = ("map", "replay")

@@ -1,4 +1,6 @@
-"""The method of `core` behind the recogniser port. Only worker processes import it: it brings torch."""
+"""The method of `core` behind the recogniser port. Only worker processes import it: it brings the compiler, and torch
+with the first submap of a map in the form of the paper.
+"""
 
 from __future__ import annotations
 
@@ -9,16 +11,17 @@ from functools import lru_cache
 import numpy as np
 
 from revisit.core.codec.mesh import Mesh
-from revisit.core.config import PipelineConfig
+from revisit.core.config import PipelineConfig, Profile
 from revisit.core.errors import DataLoss
 from revisit.core.geometry.se3 import Matrix4
 from revisit.core.implicit_map import NeuralMap
 from revisit.core.kernels.intermediate_code import pack_intermediate_code
 from revisit.core.kernels.plane_votes import plane_scores
-from revisit.core.model_bundle import ModelBundle, load_packaged_models
+from revisit.core.model_bundle import ModelBundle
 from revisit.core.pair_verdict import PairVerdict
 from revisit.core.pipeline import describe_again, describe_fitted, fit, verify
 from revisit.core.place import Place
+from revisit.core.profiles import profile_models
 from revisit.core.sanity.window import window_findings
 from revisit.core.scan import Scan
 from revisit.core.scan_disagreement import ScanDisagreement
@@ -41,18 +44,22 @@ its candidates twice, and few that an earlier job had asked (docs/decisions/0289
 
 
 class CoreRecogniser:
-    """`PlaceRecogniser` with the packaged models."""
+    """`PlaceRecogniser` with the packaged models of the profile that is asked for, loaded once per process."""
 
-    def __init__(self, models: ModelBundle) -> None:
-        """`models` are loaded once per process."""
-        self._models = models
+    def __init__(self) -> None:
+        """The product's are loaded now, those of another profile when it is asked for first."""
+        self._models = {Profile.PRODUCT: profile_models(Profile.PRODUCT)}
         self._read = lru_cache(maxsize=PLACES_READ)(Place.from_blob)
         self._place = lru_cache(maxsize=PLACES_PREPARED)(self._unprepared)
 
-    @property
-    def model_version(self) -> str:
+    def model_of(self, profile: Profile) -> str:
         """See `PlaceRecogniser`."""
-        return self._models.version
+        return self._models_of(profile).version
+
+    def _models_of(self, profile: Profile) -> ModelBundle:
+        if profile not in self._models:
+            self._models[profile] = profile_models(profile)
+        return self._models[profile]
 
     def inspect(self, scans: Sequence[Scan]) -> tuple[str, ...]:
         """See `PlaceRecogniser`."""
@@ -60,10 +67,11 @@ class CoreRecogniser:
 
     def describe(self, submap: Submap, config: PipelineConfig) -> SubmapDescription:
         """See `PlaceRecogniser`."""
+        models = self._models_of(config.profile)
         with stage_times() as timings_s:
-            fitted = fit(submap, self._models, config)
+            fitted = fit(submap, models, config)
             del submap  # 20 MB of points, where the caller does not hold them either
-            described = describe_fitted(fitted, self._models, config)
+            described = describe_fitted(fitted, models, config)
         return SubmapDescription(
             descriptor=described.descriptor.vector,
             place=described.place.to_blob(),
@@ -74,7 +82,7 @@ class CoreRecogniser:
 
     def describe_again(self, neural_map: bytes, place: bytes | None, config: PipelineConfig) -> Redescription:
         """See `PlaceRecogniser`."""
-        described = describe_again(self._neural_map(neural_map, config), self._models, config)
+        described = describe_again(self._neural_map(neural_map, config), self._models_of(config.profile), config)
         again = dataclasses.replace(described.place, scan_disagreement=_disagreement_of(place))
         return Redescription(described.descriptor.vector, again.to_blob())
 
@@ -88,7 +96,7 @@ class CoreRecogniser:
         return Mesh(vertices.astype(np.float32), normals.astype(np.float32), surface.faces)
 
     def _neural_map(self, blob: bytes, config: PipelineConfig) -> NeuralMap:
-        return NeuralMap.from_blob(blob, self._models.decoder, config.implicit_map)
+        return NeuralMap.from_blob(blob, self._models_of(config.profile).decoder, config.implicit_map)
 
     def verify(
         self,
@@ -117,7 +125,7 @@ class CoreRecogniser:
 
 def load_recogniser() -> CoreRecogniser:
     """The recogniser of the workers, with all its kernels compiled."""
-    recogniser = CoreRecogniser(load_packaged_models())
+    recogniser = CoreRecogniser()
     warm_up(recogniser)
     pack_intermediate_code()
     return recogniser
@@ -125,7 +133,7 @@ def load_recogniser() -> CoreRecogniser:
 
 def accompany_worker() -> None:
     """Compile in a process of its own, from the other end of the worker's list."""
-    accompany(CoreRecogniser(load_packaged_models()))
+    accompany(CoreRecogniser())
 
 
 def _disagreement_of(place: bytes | None) -> ScanDisagreement | None:

@@ -24,9 +24,9 @@ async def create_map(cases: UseCases, tenant: TenantId, request: map_pb2.CreateM
     """Absent fields are as the service is configured."""
     own = requests.present(request, "tau_m", "stride_m", "leave_distance_m", "scene_scale")
     policy = LoopPolicy(**requests.present(request.loop_policy, *(field.name for field in fields(LoopPolicy))))
-    created = await cases.maps.create(
-        tenant, CreateMap(request.map_id, request.display_name, **own, loop_policy=policy)
-    )
+    profile = request.profile or CreateMap.profile
+    command = CreateMap(request.map_id, request.display_name, **own, loop_policy=policy, profile=profile)
+    created = await cases.maps.create(tenant, command)
     return {"map": map_fields(created.map), "replay": created.replay}
 
 

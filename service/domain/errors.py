@@ -133,6 +133,12 @@ class TooManyFailures(Unavailable):
     code = ErrorCode.RATE
 
 
+class ExtraMissing(RevisitError):
+    """The worker was installed without the extra that this takes."""
+
+    code = ErrorCode.EXTRA_MISSING
+
+
 class StaleLease(RevisitError):
     """Another worker holds this job by now: the result is refused."""
 

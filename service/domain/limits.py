@@ -87,7 +87,7 @@ LOCALIZE_CANDIDATES = Range(1, 100)
 MIN_SIMILARITY = Range(-1.0, 1.0)
 RADIUS_M = Range(0.0, 1e6, "metres", above=True)
 PRIOR_COORDINATE_M = Range(-1e9, 1e9, "metres")
-DESCRIPTOR_LENGTH = Range(1, 4096)
+DESCRIPTOR_LENGTH = Range(1, 10_000)
 
 # Tiles of a map
 DISTANCE_POINTS = Range(1, 1000)

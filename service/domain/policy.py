@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from revisit.core.config import PipelineConfig
+from revisit.core.config import PipelineConfig, Profile
+from revisit.core.profiles import profile_config
 from revisit.service.domain.records import MapRecord
 
 
@@ -28,8 +29,8 @@ class Policy:
     webhook_private_networks: bool = False
 
     def for_map(self, record: MapRecord) -> PipelineConfig:
-        """The parameters of the method with the map's overrides."""
-        return self.pipeline.of_map(
+        """The parameters of the method in the profile of the map, with its overrides."""
+        return profile_config(Profile(record.profile), self.pipeline).of_map(
             record.scene_scale,
             submap={"tau": record.tau_m, "stride": record.stride_m},
             loop={"leave_distance": record.leave_distance_m, "candidates": record.loop_candidates},

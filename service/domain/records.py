@@ -18,7 +18,8 @@ Pose = tuple[float, ...]
 class MapRecord:
     """A map; None stands for "as the service is configured"; `model_version` is that of its descriptors, if any.
 
-    `scene_scale` is the size of its scene compared with a street (docs/decisions/0009); it never changes.
+    `scene_scale` is the size of its scene compared with a street (docs/decisions/0009), `profile` a `Profile`; neither
+    ever changes.
     `loop_candidates` to `max_seen_through` are the map's own `LoopPolicy`. `map_version` is the version of its poses in
     force, 0 for none; `graph_edits` counts the changes that made a part of its pose graph void. `index_file` names the
     file that its index may be loaded from.
@@ -41,6 +42,7 @@ class MapRecord:
     map_version: int = 0
     graph_edits: int = 0
     index_file: str | None = None
+    profile: str = "product"
     number: int = 0
 
 

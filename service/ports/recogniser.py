@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from revisit.core.codec.mesh import Mesh
-from revisit.core.config import PipelineConfig
+from revisit.core.config import PipelineConfig, Profile
 from revisit.core.geometry.se3 import Matrix4
 from revisit.core.pair_verdict import PairVerdict
 from revisit.core.scan import Scan
@@ -51,9 +51,8 @@ class PlaceKeeper(Protocol):
 class PlaceRecogniser(PlaceKeeper, Protocol):
     """The method, as the workers call it."""
 
-    @property
-    def model_version(self) -> str:
-        """Descriptors of different versions must not be compared."""
+    def model_of(self, profile: Profile) -> str:
+        """The version of the models of a profile. Descriptors of different versions must not be compared."""
         ...
 
     def inspect(self, scans: Sequence[Scan]) -> tuple[str, ...]:
@@ -61,7 +60,10 @@ class PlaceRecogniser(PlaceKeeper, Protocol):
         ...
 
     def describe(self, submap: Submap, config: PipelineConfig) -> SubmapDescription:
-        """Neural map, descriptor and place of a submap. Raises RevisitError where it cannot be described."""
+        """Neural map, descriptor and place of a submap.
+
+        Raises RevisitError where it cannot be described, MissingLibrary where what its profile takes is not installed.
+        """
         ...
 
     def describe_again(self, neural_map: bytes, place: bytes | None, config: PipelineConfig) -> Redescription:

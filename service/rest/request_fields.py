@@ -10,10 +10,11 @@ from typing import Any
 from revisit.service.calls.operations import DEFAULT_OPERATION_WAIT_S
 from revisit.service.domain import limits
 from revisit.service.domain.limits import Range
+from revisit.service.features.catalogue.maps import CreateMap
 from revisit.service.features.resources.paging import PageRequest
 from revisit.service.features.tiles.calls import MapQuestion
 from revisit.service.features.waiting.freshness import DEFAULT_WAIT_S
-from revisit.service.rest.schemas import DISPLAY_NAME, ID, STOREY
+from revisit.service.rest.schemas import DISPLAY_NAME, ID, PROFILE, STOREY
 
 POSE_CHARACTERS, POINT_CHARACTERS = 400, 200
 
@@ -46,6 +47,7 @@ TEXTS: dict[str, dict[str, Any]] = {
     "map": ID,
     "display_name": DISPLAY_NAME,
     "storey": STOREY,
+    "profile": PROFILE,
     "url": {"max_length": limits.URL_CHARACTERS},
     "page_token": {"max_length": limits.PAGE_TOKEN_CHARACTERS},
     "reason": {"max_length": limits.REASON_CHARACTERS},
@@ -60,6 +62,7 @@ TEXTS: dict[str, dict[str, Any]] = {
 """Of strings."""
 
 DEFAULTS: dict[str, Any] = {
+    "profile": CreateMap.profile,
     "scene_scale": 1.0,
     "page_size": PageRequest().size,
     "limit": MapQuestion.limit,

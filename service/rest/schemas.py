@@ -12,6 +12,7 @@ from typing import Annotated, Any, ClassVar
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 
+from revisit.core.config import Profile
 from revisit.service.domain import limits
 from revisit.service.domain.limits import Range
 from revisit.service.features.index.answers import SearchCriteria
@@ -41,6 +42,7 @@ IN_DIGITS = BeforeValidator(_in_digits)
 
 ID: dict[str, Any] = {"pattern": f"^{limits.ID_PATTERN}$", "examples": ["yard-3"]}
 DISPLAY_NAME: dict[str, Any] = {"max_length": limits.DISPLAY_NAME_CHARACTERS, "pattern": r"^[^\x00-\x1f\x7f]*$"}
+PROFILE: dict[str, Any] = {"pattern": f"^({'|'.join(Profile)})$"}
 STOREY: dict[str, Any] = {"min_length": 1, "max_length": limits.STOREY_CHARACTERS, "examples": ["B2"]}
 
 Id = Annotated[str, Field(**ID)]
@@ -67,7 +69,7 @@ class SearchRequest(Request):
     that of its session.
     """
 
-    most_bytes: ClassVar[int] = 128 * 2**10
+    most_bytes: ClassVar[int] = 256 * 2**10
     """The longest descriptor takes 100,000 bytes, written with all digits."""
 
     submap: Annotated[str, Field(max_length=limits.RESOURCE_NAME_CHARACTERS)] | None = None

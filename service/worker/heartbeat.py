@@ -40,7 +40,7 @@ log = structlog.get_logger(__name__)
 
 @dataclass(frozen=True)
 class WorkerIdentity:
-    """A worker's identity: its id, the model it runs, and the gateway that started it, if one did."""
+    """A worker's identity: its id, the product's model that it runs, and the gateway that started it, if one did."""
 
     worker_id: str
     model_version: str

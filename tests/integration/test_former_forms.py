@@ -7,7 +7,6 @@ from dataclasses import replace
 import pytest
 
 from revisit.core.errors import FormerForm, RevisitError
-from revisit.core.model_bundle import load_packaged_models
 from revisit.service.adapters.core_recogniser import CoreRecogniser
 from revisit.service.domain.identity import SubmapKey
 from revisit.service.features.catalogue.downloads import DownloadKind
@@ -24,7 +23,7 @@ MENDED = "`revisit reembed MAP`"
 class Reading(FakeRecogniser):
     """Describes as the fake does, and reads places and neural maps as the method does."""
 
-    method = CoreRecogniser(load_packaged_models())
+    method = CoreRecogniser()
 
     def verify(self, query, match, similarity, config, near=None, **how):
         return self.method.verify(match, match, similarity, config, near, **how)

@@ -20,7 +20,7 @@ from pathlib import Path
 import numpy as np
 
 from revisit.core.codec.mesh import Mesh
-from revisit.core.config import PipelineConfig
+from revisit.core.config import PipelineConfig, Profile
 from revisit.core.errors import DataLoss, DegenerateCloud
 from revisit.core.geometry import se3
 from revisit.core.scan import Scan
@@ -79,6 +79,10 @@ class FakeRecogniser:
     """`PlaceRecogniser` by height histogram."""
 
     model_version = "fake-1"
+
+    def model_of(self, profile: Profile) -> str:
+        """Another one for each profile."""
+        return self.model_version if profile is Profile.PRODUCT else f"{self.model_version}-{profile}"
 
     def inspect(self, scans: Sequence[Scan]) -> tuple[str, ...]:
         """Jumps of 15 m and more alone."""

@@ -26,10 +26,12 @@ class Maps(Group):
         leave_distance_m: float | None = None,
         scene_scale: float | None = None,
         loop_policy: LoopPolicy = LoopPolicy(),
+        profile: str | None = None,
     ) -> Map:
         """Create a map; None is as the service is configured.
 
-        `scene_scale` is the size of the scene compared with a street, e.g. 0.25 for rooms; it cannot be changed later.
+        `scene_scale` is the size of the scene compared with a street, e.g. 0.25 for rooms; `profile` is the form of the
+        method that describes submaps, product or paper. Neither can be changed later.
         """
         created = self._ask(
             "CreateMap",
@@ -39,6 +41,7 @@ class Maps(Group):
             stride_m=stride_m,
             leave_distance_m=leave_distance_m,
             scene_scale=scene_scale,
+            profile=profile,
             loop_policy={name: value for name, value in asdict(loop_policy).items() if value is not None} or None,
         )
         return Map.of(created)

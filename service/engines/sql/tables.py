@@ -110,6 +110,7 @@ maps = _numbered(
     Column("map_version", BigInteger, nullable=False, server_default="0"),
     Column("graph_edits", BigInteger, nullable=False, server_default="0"),
     _text("index_file", length=128, nullable=True),
+    Column("profile", String(16), nullable=False, server_default="product"),
 )
 
 robots = _numbered(

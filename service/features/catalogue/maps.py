@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import astuple, dataclass
 from functools import partial
 
-from revisit.core.config import PipelineConfig
+from revisit.core.config import PipelineConfig, Profile
+from revisit.core.errors import BadField
 from revisit.service.capacity.admission import Admission
 from revisit.service.domain import limits
 from revisit.service.domain.identity import TenantId, content_hash, validated_id, validated_label
@@ -21,6 +22,7 @@ from revisit.service.features.ingest.open_streams import OpenStreams
 from revisit.service.features.resources.paging import Lists, Page, PageRequest
 from revisit.service.ports.clock import Clock
 from revisit.service.ports.index import VectorIndex
+from revisit.service.ports.recogniser import PlaceRecogniser
 from revisit.service.ports.storage import Storage, require_deleted, require_map, require_same_content
 from revisit.service.ports.transactions import UnitOfWork
 
@@ -29,7 +31,8 @@ from revisit.service.ports.transactions import UnitOfWork
 class CreateMap:
     """A new map. `tau_m`, `stride_m`, `leave_distance_m` and `loop_policy` override the service's settings where given.
 
-    `scene_scale` is the size of its scene compared with a street, e.g. 0.25 for rooms; it cannot be changed later.
+    `scene_scale` is the size of its scene compared with a street, e.g. 0.25 for rooms; `profile` is a `Profile`, by
+    which its submaps are described. Neither can be changed later.
     """
 
     map_id: str
@@ -39,6 +42,7 @@ class CreateMap:
     leave_distance_m: float | None = None
     scene_scale: float = 1.0
     loop_policy: LoopPolicy = LoopPolicy()
+    profile: str = Profile.PRODUCT
 
 
 @dataclass(frozen=True)
@@ -59,6 +63,7 @@ class MapView:
     created_at_ns: int
     loop_policy: LoopPolicy = LoopPolicy()
     map_version: int = 0
+    profile: str = Profile.PRODUCT
 
 
 @dataclass(frozen=True)
@@ -137,19 +142,21 @@ class Maps:
         validated_label(command.display_name, "display_name")
         _validate_window(command)
         content = (command.display_name, command.tau_m, command.stride_m, command.leave_distance_m)
-        # Left out where they are the default, so that creates of before there were scales and policies can be repeated.
+        # Left out where they are the default, so that creates of before there were these fields can be repeated.
         scale = () if command.scene_scale == 1.0 else (command.scene_scale,)
         own = command.loop_policy
         policy = () if own == LoopPolicy() else ("loop_policy", *astuple(own))
+        profile = () if command.profile == Profile.PRODUCT else ("profile", command.profile)
         return MapRecord(
             tenant=tenant,
             map_id=command.map_id,
-            content_hash=content_hash((*content, *scale, *policy)),
+            content_hash=content_hash((*content, *scale, *policy, *profile)),
             display_name=command.display_name,
             tau_m=command.tau_m,
             stride_m=command.stride_m,
             leave_distance_m=command.leave_distance_m,
             scene_scale=command.scene_scale,
+            profile=command.profile,
             loop_candidates=own.candidates,
             min_score=own.min_score,
             min_overlap=own.min_overlap,
@@ -172,6 +179,7 @@ class Maps:
             created_at_ns=record.created_at_ns,
             loop_policy=policy_in_force(config),
             map_version=record.map_version,
+            profile=record.profile,
         )
 
 
@@ -188,12 +196,12 @@ def _delete(uow: UnitOfWork, map_id: str, entry: AuditEntry, at_ns: int) -> int:
     return record.number
 
 
-def model_for_map(record: MapRecord, model_version: str) -> str:
-    """The version of the descriptors that the model makes for a map.
+def model_for_map(record: MapRecord, recogniser: PlaceRecogniser) -> str:
+    """The version of the descriptors that the models of a map's profile make for it.
 
     Its scale is part of it: descriptors of different scales must not be compared, like those of different models.
     """
-    scale = record.scene_scale
+    model_version, scale = recogniser.model_of(Profile(record.profile)), record.scene_scale
     return model_version if scale == 1.0 else f"{model_version}@scale-{scale:g}"
 
 
@@ -206,3 +214,5 @@ def _validate_window(command: CreateMap) -> None:
         limits.LEAVE_DISTANCE_M.validated(command.leave_distance_m, "leave_distance_m")
     limits.SCENE_SCALE.validated(command.scene_scale, "scene_scale")
     command.loop_policy.validated()
+    if command.profile not in set(Profile):
+        raise BadField(f"profile must be one of {', '.join(Profile)}, got {command.profile!r}", field="profile")

@@ -26,12 +26,19 @@ from revisit.service.ports.transactions import UnitOfWork
 
 
 def require_comparable(target: MapRecord, source: MapRecord) -> None:
-    """Raises DescriptorModelMismatch where two maps were described by different models, BadField at different scales.
+    """Raises DescriptorModelMismatch where two maps were described by different models, BadField at different scales
+    or in different profiles.
 
     A map of which nothing is described yet has no model.
     """
     if target.scene_scale != source.scene_scale:
         raise BadField("maps of different scene scales cannot be merged", field="source")
+    if target.profile != source.profile:
+        raise BadField(
+            f"maps of different profiles cannot be merged: {target.map_id} is {target.profile}, {source.map_id} "
+            f"{source.profile}",
+            field="source",
+        )
     models = {one.model_version for one in (target, source)} - {None}
     if len(models) > 1:
         raise DescriptorModelMismatch(

@@ -7,8 +7,8 @@ from functools import partial
 
 import structlog
 
-from revisit.core.errors import ErrorCode, RevisitError
-from revisit.service.domain.errors import StaleLease, StorageFull, Unavailable
+from revisit.core.errors import ErrorCode, MissingLibrary, RevisitError
+from revisit.service.domain.errors import ExtraMissing, StaleLease, StorageFull, Unavailable
 from revisit.service.domain.states import OperationKind
 from revisit.service.failpoints import failpoint
 from revisit.service.features.operations.dead_letters import mark_subject_failed
@@ -43,6 +43,8 @@ class JobRunner:
             # A store that is full, or does not answer, says nothing about the job.
             of_storage = isinstance(error, Unavailable | StorageFull)
             self._fail(lease, error.code, error.message, retry=of_storage, innocent=of_storage)
+        except MissingLibrary as error:  # a second run of this worker would miss it, too
+            self._fail(lease, ExtraMissing.code, str(error), retry=False)
         except MemoryError:
             self.fail(lease, "the job needs more memory than a worker may take")
         except Exception as error:  # no error of the method may end the worker

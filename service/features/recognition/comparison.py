@@ -65,7 +65,7 @@ class Comparison:
 
 def require_same_model(record: MapRecord, recogniser: PlaceRecogniser) -> None:
     """Raises DescriptorModelMismatch where a map was described by another model than this worker has."""
-    own = model_for_map(record, recogniser.model_version)
+    own = model_for_map(record, recogniser)
     if record.model_version not in (None, own):
         raise DescriptorModelMismatch(
             f"map {record.map_id} was described by model {record.model_version}, this worker has {own}"

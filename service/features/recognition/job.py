@@ -109,7 +109,7 @@ class SubmapDescriptionJob:
             submap,
             state=SubmapState.DESCRIBED.value,
             flags=tuple(dict.fromkeys((*submap.flags, *description.flags))),
-            model_version=model_for_map(task.map, self._recogniser.model_version),
+            model_version=model_for_map(task.map, self._recogniser),
             descriptor=np.asarray(description.descriptor, dtype="<f4").tobytes(),
             place_sha256=sha256[PLACE_BLOB],
             neural_map_sha256=sha256.get(NEURAL_MAP_BLOB),

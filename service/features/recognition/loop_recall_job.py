@@ -83,7 +83,6 @@ class LoopRecallJob:
     def __init__(self, context: JobContext, recogniser: PlaceRecogniser, early: EarlyCorrections) -> None:
         """`early` corrects a map by the loops that hold."""
         self._context = context
-        self._recogniser = recogniser
         self._comparison = Comparison(context.blobs, recogniser)
         self._early = early
 
@@ -97,7 +96,7 @@ class LoopRecallJob:
             return
         failpoint("recall.before_commit")
         now_ns = context.clock.wall_ns()
-        commit = RecallCommit(lease, self._recogniser.model_version, context.policy, tested, now_ns)
+        commit = RecallCommit(lease, context.policy, tested, now_ns)
         if context.transactions.write(commit).result():
             self._early.update(tenant, map_id)
 
@@ -227,7 +226,6 @@ class RecallCommit:
     """The one transaction that ends a job of recall."""
 
     lease: Lease
-    model_version: str
     policy: Policy
     tested: list[RecalledLoop]
     now_ns: int
@@ -257,7 +255,7 @@ class RecallCommit:
         fields: dict[str, Any] = {"evidence": evidence}
         if isinstance(verdict, VerifiedLoop):
             fields = {
-                "evidence": {**evidence, **found, "model_version": self.model_version},
+                "evidence": {**evidence, **found, "model_version": one.query.model_version},
                 "state": LoopState.ACCEPTED.value,
                 "reason": None,
                 "score": float(verdict.measurement.score),
@@ -282,7 +280,7 @@ class RecallCommit:
             note=f"tested again from where the map has the two submaps, after {one.record.reason}",
             map_version=one.map.map_version,
             details={
-                "model_version": self.model_version,
+                "model_version": one.query.model_version,
                 **rules_of(found),
                 RECALL: self._recall_evidence(one, verdict),
             },

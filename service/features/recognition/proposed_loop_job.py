@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
 
 import numpy as np
 
@@ -45,7 +44,6 @@ class VerdictCommit:
     """The one transaction that ends the verification of a proposed loop."""
 
     lease: Lease
-    model_version: str
     policy: Policy
     pair: ProposedPair | None
     verdict: PairVerdict | None
@@ -63,24 +61,22 @@ class VerdictCommit:
         state = LoopState.ACCEPTED if accepted else LoopState.REJECTED
         reason = verdict.reason.value if isinstance(verdict, RejectedLoop) else None
         evidence = verdict_evidence(verdict, self.policy.for_map(self.pair.map).verification)
+        model = {"model_version": self.pair.query.model_version}
         change_loop(
             uow,
             loop,
-            Change(LoopEventKind.VERIFIED, self.now_ns, details=self._rules(evidence)),
+            Change(LoopEventKind.VERIFIED, self.now_ns, details={**model, **rules_of(evidence)}),
             state=state.value,
             reason=reason,
             similarity=self.pair.match.similarity,
             score=0.0 if measured is None else float(measured.score),
             T_match_query=loop.T_match_query if measured is None else pose_row(measured.T_match_query),
-            evidence={**evidence, "model_version": self.model_version},
+            evidence={**evidence, **model},
         )
         if accepted:
             optimise_soon(uow, loop.tenant, loop.map_id, self.policy, self.now_ns)
         result = {"loop_closure": f"maps/{loop.map_id}/loopClosures/{loop.loop_id}", "state": state.value}
         uow.queue.complete(self.lease, {**result, "reason": reason})
-
-    def _rules(self, evidence: dict[str, Any]) -> dict[str, Any]:
-        return {"model_version": self.model_version, **rules_of(evidence)}
 
 
 class ProposedLoopJob:
@@ -89,7 +85,6 @@ class ProposedLoopJob:
     def __init__(self, context: JobContext, recogniser: PlaceRecogniser, early: EarlyCorrections) -> None:
         """`early` corrects a map by the loops that hold."""
         self._context = context
-        self._recogniser = recogniser
         self._comparison = Comparison(context.blobs, recogniser)
         self._early = early
 
@@ -102,7 +97,7 @@ class ProposedLoopJob:
             place = context.blobs.get(pair.query.tenant, PLACE_BLOB, str(pair.query.place_sha256))
             verdict = self._comparison.verify(place, pair.match, context.policy.for_map(pair.map), pair.near)
         now_ns = context.clock.wall_ns()
-        commit = VerdictCommit(lease, self._recogniser.model_version, context.policy, pair, verdict, now_ns)
+        commit = VerdictCommit(lease, context.policy, pair, verdict, now_ns)
         context.transactions.write(commit).result()
         if pair is not None and isinstance(verdict, VerifiedLoop):
             self._early.update(pair.map.tenant, pair.map.map_id)

@@ -120,7 +120,7 @@ class Reembedding:
         )
 
     def _model(self, record: MapRecord) -> str:
-        return model_for_map(record, self._recogniser.model_version)
+        return model_for_map(record, self._recogniser)
 
     def _renew(self, record: MapRecord, submap: SubmapRecord) -> _Renewed:
         name = f"{record.number}-{submap.number}-{self._model(record)}"

@@ -83,7 +83,7 @@ def test_openapi_states_the_bounds_of_what_is_in_lists():
         for name in ("prior_position_m", "descriptor")
     )
     assert (prior["items"]["minimum"], prior["items"]["maximum"]) == (-1e9, 1e9)
-    assert (descriptor["minItems"], descriptor["maxItems"]) == (1, 4096)
+    assert (descriptor["minItems"], descriptor["maxItems"]) == (1, 10_000)
 
 
 @pytest.mark.parametrize("name", CHARACTERS)

@@ -30,7 +30,7 @@ from revisit.core.errors import BadField, DegenerateCloud
 from revisit.core.model_bundle import FIRST_TRAINING, TRAINED_WITH, load_bundle, load_packaged_models, training_record
 from revisit.core.pipeline import describe
 
-SECTIONS = [field.name for field in dataclasses.fields(PipelineConfig) if field.name != "scene_scale"]
+SECTIONS = [field.name for field in dataclasses.fields(PipelineConfig) if field.default is dataclasses.MISSING]
 NUMBERS = [
     (section, field.name)
     for section in SECTIONS

@@ -25,6 +25,7 @@ from revisit.core.merge import (
 )
 from revisit.core.merge.changes import Change, changes_between
 from revisit.core.model_bundle import load_packaged_models
+from revisit.core.profiles import Profile, profile_config, profile_models
 from revisit.core.submap import Submap
 from revisit.core.surface import extract_surface
 
@@ -133,7 +134,20 @@ def test_a_mesh_of_a_map_in_utm_is_as_fine_as_one_at_the_origin(pair, monkeypatc
     np.testing.assert_array_equal(there[2], here[2])
 
 
-def test_maps_of_different_decoders_or_resolutions_are_not_merged(pair):
+def test_learned_maps_with_decoders_of_their_own_become_one_learned_map(make_drive, scene):
+    rules, models = profile_config(Profile.PAPER).implicit_map, profile_models(Profile.PAPER)
+    placed = [
+        PlacedMap(fit_implicit_map(drive, models.decoder, rules, np.random.default_rng(0)), np.eye(4))
+        for drive in (make_drive(lambda _: scene, step=step, scans=4) for step in (1.5, 1.3))
+    ]
+    assert len({one.neural_map.decoder.digest for one in placed}) == 2
+    merged = merge_neural_maps(placed)
+    stored = NeuralMap.from_blob(merged.to_blob(), DecoderWeights.tangent_planes(), ImplicitMapConfig())
+    assert stored.decoder.digest == merged.decoder.digest == merge_neural_maps(placed[::-1]).decoder.digest
+    assert _surface_error(stored) <= 1.2 * max(_surface_error(one.neural_map) for one in placed)
+
+
+def test_maps_of_different_kinds_or_resolutions_are_not_merged(pair):
     first, second = pair
     other = dataclasses.replace(second.neural_map, decoder=DecoderWeights.tangent_planes())
     with pytest.raises(DescriptorModelMismatch):

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 
 from revisit.core.config import PipelineConfig
-from revisit.core.model_bundle import load_packaged_models
 from revisit.core.place import Place
 from revisit.core.verification import RejectedLoop
 from revisit.core.verification.verdict import RejectionReason
@@ -20,7 +19,7 @@ def test_a_place_that_is_compared_again_is_not_unpacked_again(monkeypatch) -> No
     unpacked: list[bytes] = []
     read = Place.from_blob
     monkeypatch.setattr(Place, "from_blob", lambda blob: (unpacked.append(blob), read(blob))[1])
-    recogniser, config = CoreRecogniser(load_packaged_models()), PipelineConfig()
+    recogniser, config = CoreRecogniser(), PipelineConfig()
     blobs = [a_place(np.full((2, 2), float(n))).to_blob() for n in range(3)]
     for match in (blobs[1], blobs[2], blobs[1]):
         assert recogniser.verify(blobs[0], match, 0.5, config).reason == "DEGENERATE_PLACE"
@@ -37,7 +36,7 @@ def test_a_place_that_was_prepared_long_ago_is_prepared_anew_from_what_was_read(
     prepared: list[Place] = []
     monkeypatch.setattr(core_recogniser, "PLACES_PREPARED", 2)
     monkeypatch.setattr(core_recogniser, "verify", lambda query, match, *_, **__: prepared.append(match) or REJECTED)
-    recogniser, config = CoreRecogniser(load_packaged_models()), PipelineConfig()
+    recogniser, config = CoreRecogniser(), PipelineConfig()
     blobs = [a_place(np.full((2, 2), float(n))).to_blob() for n in range(3)]
     for match in (1, 2, 1):
         recogniser.verify(blobs[0], blobs[match], 0.5, config)

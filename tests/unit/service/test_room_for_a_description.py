@@ -9,7 +9,6 @@ import numpy as np
 from revisit.core import pipeline
 from revisit.core.config import PipelineConfig
 from revisit.core.geometry import se3
-from revisit.core.model_bundle import load_packaged_models
 from revisit.core.scan import Scan
 from revisit.core.submap import Submap
 from revisit.service.adapters.core_recogniser import CoreRecogniser
@@ -37,5 +36,5 @@ def test_the_points_of_a_submap_are_gone_when_its_surface_is_sought(monkeypatch)
         return extract_surface(*arguments)
 
     monkeypatch.setattr(pipeline, "extract_surface", looks_around)
-    CoreRecogniser(load_packaged_models()).describe(upright(), CONFIG)
+    CoreRecogniser().describe(upright(), CONFIG)
     assert held == [None]
