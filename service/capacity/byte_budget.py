@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import asyncio
-from collections import Counter, deque
 from collections.abc import Iterator
 from contextlib import contextmanager
 
+from revisit.service.capacity.budget import Budget
 from revisit.service.domain.errors import WorkersBusy
 from revisit.service.domain.identity import TenantId
 
@@ -34,9 +34,12 @@ class HeldBytes:
 
     async def wait_for(self, count: int) -> None:
         """Hold `count` bytes from now on. Raises WorkersBusy where there is no room for so long."""
-        if not self._budget.has_room(self._tenant, count - self.bytes):
-            await self._budget.turn(self._tenant, count - self.bytes)
-        self.set(count)
+        more = count - self.bytes
+        if self._budget.has_room(self._tenant, more):
+            self._budget.take(self._tenant, more)
+        else:
+            await self._budget.enter(self._tenant, more)
+        self.bytes = count
 
     def set(self, count: int) -> None:
         """Hold `count` bytes from now on. Raises WorkersBusy, and keeps its former share, where there is no room."""
@@ -51,13 +54,12 @@ class ByteBudget:
         """At most `most_bytes` in all, of which a tenant has `TENANT_SHARE`."""
         self._most = most_bytes
         self._patience_s = patience_s
-        self._held: Counter[TenantId] = Counter()
-        self._waiting: deque[tuple[TenantId, int, asyncio.Future[None]]] = deque()
+        self._budget = Budget(self.has_room)
 
     @property
     def held_bytes(self) -> int:
         """Held in all."""
-        return self._held.total()
+        return self._budget.held.total()
 
     @contextmanager
     def hold(self, tenant: TenantId) -> Iterator[HeldBytes]:
@@ -68,42 +70,25 @@ class ByteBudget:
         finally:
             held.set(0)
 
-    def has_room(self, tenant: TenantId, more: int) -> bool:
+    def has_room(self, tenant: str, more: int) -> bool:
         """Whether `tenant` may hold `more` bytes."""
         share = int(self._most * TENANT_SHARE)
-        return self.held_bytes + more <= self._most and self._held[tenant] + more <= share
+        return self.held_bytes + more <= self._most and self._budget.held[tenant] + more <= share
 
     def take(self, tenant: TenantId, more: int) -> None:
         """Count `more` bytes, or give them back where negative. Raises WorkersBusy where there is no room."""
         if more > 0 and not self.has_room(tenant, more):
             raise _full()
-        self._held[tenant] += more
-        if not self._held[tenant]:
-            del self._held[tenant]
-        self._wake()
+        self._budget.take(tenant, more)
+        self._budget.wake()
 
-    async def turn(self, tenant: TenantId, more: int) -> None:
-        """Wait until `tenant` may hold `more` bytes, which are to be taken at once. Raises WorkersBusy."""
-        turn: asyncio.Future[None] = asyncio.get_running_loop().create_future()
-        waiter = (tenant, more, turn)
-        self._waiting.append(waiter)
+    async def enter(self, tenant: TenantId, more: int) -> None:
+        """Count `more` bytes as soon as there is room for them. Raises WorkersBusy."""
         try:
             async with asyncio.timeout(self._patience_s):
-                await turn
+                await self._budget.enter(tenant, more)
         except TimeoutError as error:
             raise _full() from error
-        finally:
-            if waiter in self._waiting:
-                self._waiting.remove(waiter)
-
-    def _wake(self) -> None:
-        """Let the first that fits go on; once it has taken its bytes, the next is looked at."""
-        for waiter in tuple(self._waiting):
-            tenant, more, turn = waiter
-            if self.has_room(tenant, more) and not turn.done():
-                self._waiting.remove(waiter)
-                turn.set_result(None)
-                return
 
 
 def _full() -> WorkersBusy:

@@ -8,20 +8,13 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import Awaitable, Callable, Iterable
+from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
 from functools import partial
-from typing import TypeVar
 
-from revisit.service.capacity.in_flight import TokenBucket, wait_while
+from revisit.service.capacity.budget import Rate, RateBudget, Remembered, wait_while
 from revisit.service.domain.errors import RateLimited
 from revisit.service.domain.identity import TenantId
-
-Known = TypeVar("Known")
-
-MOST_BUCKETS = 4096
-"""Callers that are remembered at the same time. Those that have not called for long are forgotten."""
-
 
 UNREAD_BYTES_A_CALL = 64 * 2**10
 """So many bytes of a body that was refused unread take about as long to throw away as a call takes to refuse."""
@@ -86,8 +79,8 @@ class CallPace:
         self._others_wait = others_wait
         self._now_s = now_s
         self._sleep = sleep
-        self._buckets: dict[tuple[str, ...], TokenBucket] = {}
-        self._refused_until_s: dict[tuple[str, ...], float] = {}
+        self._rates = RateBudget(now_s)
+        self._refused_until_s: Remembered[tuple[str, ...], float] = Remembered()
         self._callers, self._unauthenticated = _Line(limits.waiting), _Line(limits.unauthenticated_waiting)
 
     @property
@@ -97,16 +90,16 @@ class CallPace:
 
     async def turn(self, tenant: TenantId, client: str) -> None:
         """Return when a call of the tenant's client may begin. Raises RateLimited where too many wait."""
-        buckets, over_rate = self._buckets_of(tenant, client), ("over rate", tenant, client)
+        rates, over_rate = self._rates_of(tenant, client), ("over rate", tenant, client)
         if self._refused_until_s.get(over_rate, 0.0) <= self._now_s():
-            await self._wait(self._callers, buckets)
+            await self._wait(self._callers, *rates)
             return
-        await self._wait(self._callers, (*buckets, self._bucket(over_rate, self._limits.over_rate_calls_per_s)))
+        await self._wait(self._callers, *rates, self._rate(over_rate, self._limits.over_rate_calls_per_s))
         await wait_while(partial(self._others_wait, tenant), POLL_S, POLLS, self._sleep)
 
     def note_refused(self, tenant: TenantId, client: str) -> None:
         """The client was told to come back later: if it does not wait by itself, it waits here."""
-        _remember(self._refused_until_s, ("over rate", tenant, client), self._now_s() + REFUSED_FOR_S)
+        self._refused_until_s["over rate", tenant, client] = self._now_s() + REFUSED_FOR_S
 
     def note_unread(self, tenant: TenantId, client: str, unread_bytes: int) -> None:
         """A body of the client was refused before it was read: its further calls wait for as long as that takes."""
@@ -117,28 +110,25 @@ class CallPace:
         self._note(tenant, client, json_bytes / JSON_BYTES_A_CALL)
 
     def _note(self, tenant: TenantId, client: str, calls: float) -> None:
-        for bucket in self._buckets_of(tenant, client):
-            bucket.take(min(calls, MOST_CALLS_A_BODY), self._now_s())
+        self._rates.take(self._rates_of(tenant, client), min(calls, MOST_CALLS_A_BODY))
 
     async def refusal(self, address: str) -> None:
         """Return when a caller that nobody knows may be told so; at once where too many wait."""
         try:
-            await self._wait(self._unauthenticated, (self._bucket(("address", address), self._limits.refusals_per_s),))
+            await self._wait(self._unauthenticated, self._rate(("address", address), self._limits.refusals_per_s))
         except RateLimited:
             return
 
     async def public(self, address: str) -> None:
         """Return when a call without a credential may begin. Raises RateLimited where too many wait."""
-        await self._wait(self._unauthenticated, (self._bucket(("public", address), self._limits.public_calls_per_s),))
+        await self._wait(self._unauthenticated, self._rate(("public", address), self._limits.public_calls_per_s))
 
-    async def _wait(self, line: _Line, buckets: Iterable[TokenBucket]) -> None:
-        """Spend a token of each bucket and wait until they are there; a call that is given up has spent them, too."""
-        now_s = self._now_s()
-        wait_s = max(bucket.wait_s(now_s, 1.0) for bucket in buckets)
+    async def _wait(self, line: _Line, *rates: Rate) -> None:
+        """Spend a token of each rate and wait until they are there; a call that is given up has spent them, too."""
+        wait_s = self._rates.wait_s(rates, 1.0)
         if wait_s > self._limits.most_wait_s or (wait_s > 0.0 and line.length >= line.most):
             raise RateLimited("too many calls wait already: begin fewer at a time", retry_after_s=wait_s)
-        for bucket in buckets:
-            bucket.take(1.0, now_s)
+        self._rates.take(rates)
         if wait_s > 0.0:
             line.length += 1
             try:
@@ -146,28 +136,10 @@ class CallPace:
             finally:
                 line.length -= 1
 
-    def _buckets_of(self, tenant: TenantId, client: str) -> tuple[TokenBucket, ...]:
+    def _rates_of(self, tenant: str, client: str) -> tuple[Rate, Rate]:
         limits = self._limits
-        own = self._bucket(("client", tenant, client), limits.client_calls_per_s)
-        return own, self._bucket(("tenant", tenant), limits.tenant_calls_per_s)
+        own = self._rate(("client", tenant, client), limits.client_calls_per_s)
+        return own, self._rate(("tenant", tenant), limits.tenant_calls_per_s)
 
-    def _bucket(self, caller: tuple[str, ...], per_s: float) -> TokenBucket:
-        """The caller's bucket, which is now the last to be forgotten."""
-        return bucket_of(self._buckets, caller, per_s, self._limits.burst, self._now_s())
-
-
-def bucket_of(
-    buckets: dict[tuple[str, ...], TokenBucket], holder: tuple[str, ...], per_s: float, burst: float, now_s: float
-) -> TokenBucket:
-    """The bucket of a holder, now the last to be forgotten; a full one for an unknown holder."""
-    bucket = buckets.get(holder) or TokenBucket.full(per_s, burst, now_s)
-    _remember(buckets, holder, bucket)
-    return bucket
-
-
-def _remember(known: dict[tuple[str, ...], Known], caller: tuple[str, ...], what: Known) -> None:
-    """Remember the caller, now the last to be forgotten."""
-    known.pop(caller, None)
-    known[caller] = what
-    if len(known) > MOST_BUCKETS:
-        del known[next(iter(known))]
+    def _rate(self, caller: tuple[str, ...], per_s: float) -> Rate:
+        return Rate(caller, per_s, self._limits.burst)

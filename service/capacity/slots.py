@@ -2,14 +2,10 @@
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Hashable
 from dataclasses import dataclass
-from typing import TypeVar
 
+from revisit.service.capacity.budget import Held
 from revisit.service.domain.errors import RateLimited
-
-K = TypeVar("K", bound=Hashable)
 
 KEPT = 8
 """One slot in so many is kept."""
@@ -50,8 +46,8 @@ class Slots:
 
     def __init__(self, share: Share) -> None:
         self._share = share
-        self._of_group: Counter[str] = Counter()
-        self._of_holder: Counter[tuple[str, str]] = Counter()
+        self._of_group: Held[str] = Held()
+        self._of_holder: Held[tuple[str, str]] = Held()
 
     @property
     def held(self) -> int:
@@ -73,19 +69,13 @@ class Slots:
 
     def take_back(self, group: str, holder: str) -> None:
         """One more in any case: for a call that has given up its slot for a while, and goes on."""
-        self._of_group[group] += 1
-        self._of_holder[group, holder] += 1
+        self._of_group.add(group, 1)
+        self._of_holder.add((group, holder), 1)
 
     def give(self, group: str, holder: str) -> None:
         """One less."""
-        _less(self._of_group, group)
-        _less(self._of_holder, (group, holder))
-
-
-def _less(held: Counter[K], key: K) -> None:
-    held[key] -= 1
-    if not held[key]:
-        del held[key]
+        self._of_group.add(group, -1)
+        self._of_holder.add((group, holder), -1)
 
 
 def _none_free(held: str) -> RateLimited:

@@ -16,8 +16,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from functools import lru_cache
 
-from revisit.service.capacity.call_pace import MOST_BUCKETS, bucket_of
-from revisit.service.capacity.in_flight import TokenBucket
+from revisit.service.capacity.budget import MOST_HOLDERS, Rate, RateBudget, Remembered
 
 UNAUTHENTICATED_PER_ADDRESS = 256
 """Of one address at the same time. Behind one address may be a fleet or a proxy, and its connections stay
@@ -84,8 +83,8 @@ class UnauthenticatedLimits:
         self._now_s = now_s
         self._numbers = itertools.count()
         self._by_holder: dict[str, dict[int, Leave]] = {}
-        self._buckets: dict[tuple[str, ...], TokenBucket] = {}
-        self._known: dict[bytes, float] = {}
+        self._budget = RateBudget(now_s)
+        self._known: Remembered[bytes, float] = Remembered()
         self._secret = secrets.token_bytes(16)
 
     def may_begin(self, address: str, shown: Shown = Shown.NOTHING) -> bool:
@@ -93,28 +92,17 @@ class UnauthenticatedLimits:
 
         Connections with and without credentials have each a pace of their own.
         """
-        buckets, now_s = self._buckets_of(address, shown), self._now_s()
-        if any(bucket.wait_s(now_s, 1.0) > 0.0 for bucket in buckets):
-            return False
-        for bucket in buckets:
-            bucket.take(1.0, now_s)
-        return True
+        return self._budget.try_take(self._rates_of(address, shown)) == 0.0
 
     def vouch(self, address: str, credential: str | None, shown: Shown | None = Shown.NOTHING) -> None:
         """Somebody was admitted over a connection that began: it does not count, and the credential is known.
 
         `shown` is None where it did not count. Of one credential, so many connections do not count.
         """
-        now_s = self._now_s()
         if shown is not None and (credential is None or self.may_return(credential)):
-            for bucket in self._buckets_of(address, shown):
-                bucket.take(-1.0, now_s)
+            self._budget.take(self._rates_of(address, shown), -1.0)
         if credential is not None:
-            digest = self._digest(credential)
-            self._known.pop(digest, None)
-            self._known[digest] = now_s
-            if len(self._known) > MOST_BUCKETS:
-                del self._known[next(iter(self._known))]
+            self._known[self._digest(credential)] = self._now_s()
 
     def is_known(self, credential: str) -> bool:
         """Whether somebody was admitted with this credential of late."""
@@ -122,23 +110,21 @@ class UnauthenticatedLimits:
 
     def may_return(self, credential: str) -> bool:
         """Whether one more connection of a credential may begin for its own sake; then it counts for it."""
-        rate, now_s = self._rates.client_per_s, self._now_s()
-        holder = ("client", self._digest(credential).hex())
-        bucket = bucket_of(self._buckets, holder, rate, rate * self._rates.burst_s, now_s)
-        if bucket.wait_s(now_s, 1.0) > 0.0:
-            return False
-        bucket.take(1.0, now_s)
-        return True
+        rate = self._rate(("client", self._digest(credential).hex()), self._rates.client_per_s)
+        return self._budget.try_take([rate]) == 0.0
 
-    def _buckets_of(self, address: str, shown: Shown) -> tuple[TokenBucket, ...]:
-        rates, now_s = self._rates, self._now_s()
+    def _rates_of(self, address: str, shown: Shown) -> list[Rate]:
+        rates = self._rates
         per_s = rates.unknown_per_s if shown is Shown.UNKNOWN else rates.anonymous_per_s
         of = {
             (shown, "address", holder_of(address)): per_s,
             (shown, "network", network_of(address)): per_s * rates.network_times,
             (shown, "all"): per_s * rates.all_times,
         }
-        return tuple(bucket_of(self._buckets, key, rate, rate * rates.burst_s, now_s) for key, rate in of.items())
+        return [self._rate(holder, rate) for holder, rate in of.items()]
+
+    def _rate(self, holder: tuple[str, ...], per_s: float) -> Rate:
+        return Rate(holder, per_s, per_s * self._rates.burst_s)
 
     def _digest(self, credential: str) -> bytes:
         return hashlib.blake2b(credential.encode(), digest_size=16, key=self._secret).digest()
@@ -163,7 +149,7 @@ class UnauthenticatedLimits:
             self._by_holder.pop(holder, None)
 
 
-@lru_cache(MOST_BUCKETS)
+@lru_cache(MOST_HOLDERS)
 def holder_of(address: str) -> str:
     """The holder of an address: itself, or the network of an IPv6 address."""
     try:
@@ -177,7 +163,7 @@ def holder_of(address: str) -> str:
     return str(ipaddress.ip_network((known, NETWORK_BITS), strict=False))
 
 
-@lru_cache(MOST_BUCKETS)
+@lru_cache(MOST_HOLDERS)
 def network_of(address: str) -> str:
     """The network that an address is in: a /24, or the /64 of an IPv6 address."""
     holder = holder_of(address)

@@ -79,7 +79,7 @@ class Access:
         self._clock = clock
         self._rules = rules
         self._pace = pace
-        self._failed = FailedAttempts()
+        self._failed = FailedAttempts(lambda: clock.instant().ms / 1000)
         self._keys = KnownKeys(storage)
 
     async def admit_call(
@@ -167,7 +167,7 @@ class Access:
         self, error: RevisitError, caller: Caller | None, credential: Credential, call: str
     ) -> None:
         """Write a refusal down while there are not too many; raises TooManyFailures beyond that."""
-        wait_s = self._failed.count(credential.address, self._clock.instant().ms / 1000)
+        wait_s = self._failed.count(credential.address)
         if wait_s > 0.0:
             if caller is None:
                 raise TooManyFailures(retry_after_s=wait_s) from error

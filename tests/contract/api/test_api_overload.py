@@ -43,7 +43,7 @@ def limits(service, monkeypatch):
 
     def of(**bounds):
         monkeypatch.setattr(in_flight, "limits", CapacityLimits(**bounds))
-        monkeypatch.setattr(in_flight, "_buckets", {})
+        in_flight._rates._buckets.clear()
         monkeypatch.setattr(jobs, "_waiting", {})
         monkeypatch.setattr(jobs, "_recounted_s", {})
 
@@ -68,7 +68,7 @@ def post(client, session, number):
 
 
 def test_points_beyond_a_quota_are_refused_with_the_time_to_come_back(client, session, limits, service, monkeypatch):
-    monkeypatch.setattr(service.world.context.in_flight, "_now_s", lambda: 1000.0)
+    monkeypatch.setattr(service.world.context.in_flight._rates, "_now_s", lambda: 1000.0)
     # A quota of two clouds; the third is the one that goes into debt, for the balance is then exactly zero.
     limits(tenant_points_per_s=2.0 * (POINTS + CALL_POINTS) / 10.0, burst_s=10.0)
     for number in range(3):

@@ -38,7 +38,7 @@ class Line:
     def start_anew(self):
         """Nobody has called yet."""
         self.waited = 0
-        self.pace._buckets.clear()
+        self.pace._rates._buckets.clear()
 
     async def _wait(self, _seconds):
         self.waited += 1

@@ -98,7 +98,6 @@ async def test_of_many_lists_of_a_tenant_one_is_read_at_a_time_and_others_go_bet
 
 async def test_keypoints_are_compared_for_one_tenant_after_the_other(world, monkeypatch):
     compared, may_go_on, reading = [], threading.Event(), world.use_cases.loop_keypoints
-    waiting = reading._turns._waiting
 
     def compare(_blobs, tenant, *_):
         compared.append(tenant)
@@ -111,7 +110,7 @@ async def test_keypoints_are_compared_for_one_tenant_after_the_other(world, monk
         asked = []
         for number, tenant in enumerate(callers):
             asked.append(asyncio.create_task(reading.of(tenant, SESSION.map_id, "loop")))
-            while len(compared) + sum(map(len, waiting.values())) <= number:
+            while len(compared) + reading._turns.waiting <= number:
                 await asyncio.sleep(0)
         may_go_on.set()
         await asyncio.gather(*asked)
@@ -135,7 +134,7 @@ async def test_events_are_caught_up_on_by_one_tenant_after_the_other(world, monk
     async with asyncio.timeout(60):
         async with watching.turns.of("a third"):
             asked = [asyncio.create_task(caught_up(tenant)) for tenant in callers]
-            while sum(map(len, watching.turns._waiting.values())) < len(callers):
+            while watching.turns.waiting < len(callers):
                 await asyncio.sleep(0)
         while len(read) < len(callers):
             await asyncio.sleep(0)

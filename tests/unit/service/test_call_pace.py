@@ -151,10 +151,10 @@ async def test_strangers_of_one_address_are_refused_at_their_own_pace_and_at_onc
 
 
 async def test_callers_that_have_not_called_for_long_are_forgotten(pace, monkeypatch):
-    monkeypatch.setattr(call_pace, "MOST_BUCKETS", 20)
+    monkeypatch.setattr(pace._rates._buckets, "most", 20)
     for number in range(100):
         await pace.refusal(f"10.0.0.{number}")
-    assert len(pace._buckets) == 20
+    assert len(pace._rates._buckets) == 20
 
 
 async def test_a_body_that_is_refused_unread_counts_as_the_calls_that_take_as_long(pace, time):
@@ -203,7 +203,7 @@ async def test_whoever_was_refused_for_its_rate_lets_clouds_of_others_go_first_f
 
 
 async def test_those_that_were_refused_longest_ago_are_forgotten(pace, monkeypatch):
-    monkeypatch.setattr(call_pace, "MOST_BUCKETS", 3)
+    monkeypatch.setattr(pace._refused_until_s, "most", 3)
     for number in range(5):
         pace.note_refused("acme", f"robot{number}")
     assert [client for _, _, client in pace._refused_until_s] == ["robot2", "robot3", "robot4"]

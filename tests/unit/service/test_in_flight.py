@@ -178,11 +178,11 @@ async def test_beside_others_a_tenant_has_few_clouds_under_way(clock, sent_by_an
             assert waited == waits * [POLL_S]
 
 
-def test_others_wait_while_their_clouds_are_in_flight(clock):
+async def test_others_wait_while_their_clouds_are_in_flight(clock):
     bounded = intake(clock)
-    bounded._enter("anna")
-    assert not bounded.others_wait("anna")
-    assert bounded.others_wait("bert")
+    async with bounded.reserve_cloud("anna"):
+        assert not bounded.others_wait("anna")
+        assert bounded.others_wait("bert")
 
 
 async def test_where_more_keeps_coming_the_line_of_the_tenant_is_short(clock, monkeypatch):

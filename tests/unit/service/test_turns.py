@@ -54,3 +54,13 @@ async def test_whoever_goes_away_leaves_no_place_taken(order):
     assert order == ["bert"]
     await work(turns, "carl", order)
     assert order == ["bert", "carl"]
+
+
+async def test_whoever_is_cancelled_just_when_a_place_is_free_leaves_it_to_the_next(order):
+    turns = Turns(1)
+    async with turns.of("anna"):
+        waiting = [asyncio.create_task(work(turns, tenant, order)) for tenant in ("bert", "carl")]
+        await asyncio.sleep(0)
+        waiting[0].cancel()
+    await asyncio.wait(waiting)
+    assert order == ["carl"] and waiting[0].cancelled()

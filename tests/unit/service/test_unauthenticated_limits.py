@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from revisit.service.capacity import call_pace, unauthenticated_limits
+from revisit.service.capacity import unauthenticated_limits
 from revisit.service.capacity.unauthenticated_limits import ArrivalRates, Shown, UnauthenticatedLimits, holder_of
 
 
@@ -126,7 +126,7 @@ def test_connections_that_show_something_have_a_pace_of_their_own(arrivals):
 
 
 def test_addresses_that_have_not_come_for_long_are_forgotten(arrivals, monkeypatch):
-    monkeypatch.setattr(call_pace, "MOST_BUCKETS", 20)
+    monkeypatch.setattr(arrivals._budget._buckets, "most", 20)
     for host in range(100):
         arrivals.may_begin(f"10.{host}.0.1")
-    assert len(arrivals._buckets) == 20
+    assert len(arrivals._budget._buckets) == 20
