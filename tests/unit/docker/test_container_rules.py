@@ -99,9 +99,10 @@ def test_every_folder_that_is_linked_into_the_package_is_copied_beside_it():
     assert linked <= {rest.split()[0] for word, rest in instructions(DOCKERFILE) if word == "COPY"}
 
 
-def test_the_image_holds_what_the_service_needs_and_not_what_the_evaluation_needs():
+def test_the_image_holds_what_the_service_needs_and_further_extras_only_where_they_are_asked_for():
     (command,) = [rest for word, rest in instructions(DOCKERFILE) if "pip install" in rest]
-    assert re.search(r"-c constraints.txt '\.\[service\]'", command)
+    assert re.search(r'-c constraints.txt "\.\[\$EXTRAS\]"', command)
+    assert ("ARG", "EXTRAS=service") in instructions(DOCKERFILE)
 
 
 def compose_service(name):
