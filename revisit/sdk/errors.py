@@ -121,8 +121,8 @@ def unreachable(address: str, cause: object) -> Unavailable:
     text = str(cause).rstrip(".")
     distrust = next((wrong for sign, wrong in _DISTRUST if sign in text), None)
     advice = next((advice for sign, advice in _SIGNS if sign in text), "is it running? `revisit serve` starts it")
-    told = f"{text} - {advice}" if distrust is None else f"the service's certificate {distrust}"
-    return Unavailable(ErrorDetails("UNAVAILABLE", "UNREACHABLE", f"no answer from {address}: {told}", True))
+    message = f"{text} - {advice}" if distrust is None else f"the service's certificate {distrust}"
+    return Unavailable(ErrorDetails("UNAVAILABLE", "UNREACHABLE", f"no answer from {address}: {message}", True))
 
 
 def closed() -> FailedPrecondition:

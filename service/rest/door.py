@@ -172,18 +172,18 @@ class Voucher:
     unauthenticated: UnauthenticatedLimits
     address: str
     shown: Shown | None
-    told: bool = False
+    vouched: bool = False
 
     def admitted(self, credential: str | None) -> None:
         """A caller was admitted with this credential, or with none where anyone is."""
-        if not self.told:
-            self.told = True
+        if not self.vouched:
+            self.vouched = True
             self.unauthenticated.vouch(self.address, credential, self.shown)
 
 
-def _send_away(connection: socket.socket, told: bytes) -> None:
+def _send_away(connection: socket.socket, answer: bytes) -> None:
     """Tell a client why, and close its connection."""
     with connection, contextlib.suppress(OSError):
         # Unread bytes would make the kernel take back the answer.
         connection.recv(SHOWN_BYTES)
-        connection.send(told)
+        connection.send(answer)

@@ -79,7 +79,7 @@ class Deliveries:
         of_tenant = Counter(tenant for tenant, _ in self.under_way)
         for webhook in due:
             key = (webhook.tenant, webhook.webhook_id)
-            if key in self.under_way or not _has_place(of_tenant[webhook.tenant], len(self.under_way)):
+            if key in self.under_way or not _has_slot(of_tenant[webhook.tenant], len(self.under_way)):
                 continue
             of_tenant[webhook.tenant] += 1
             task = asyncio.create_task(self._deliver(webhook), name=f"webhook {webhook.webhook_id}")
@@ -106,7 +106,7 @@ class Deliveries:
         batch = await self.storage.read(partial(_batch, webhook=webhook))
         if not batch.events:
             if batch.last > webhook.told:
-                await self.storage.write(partial(_go_on, webhook=webhook, told=batch.last))
+                await self.storage.write(partial(_go_on, webhook=webhook, last=batch.last))
             return
         body = self.render(f"webhooks/{webhook.webhook_id}", batch.events)
         began_s, at_ns = time.monotonic(), self.clock.wall_ns()
@@ -115,11 +115,11 @@ class Deliveries:
         after = _after(webhook, attempt, self.clock.wall_ns())
         await self.storage.write(partial(_note, before=webhook, after=after, attempt=attempt))
         if not attempt.arrived:
-            told = {"webhook": webhook.webhook_id, "tenant": webhook.tenant, "failures": after.failures}
-            log.warning("webhook_failed", **told, status=answered.status, reason=answered.error, state=after.state)
+            fields = {"webhook": webhook.webhook_id, "tenant": webhook.tenant, "failures": after.failures}
+            log.warning("webhook_failed", **fields, status=answered.status, reason=answered.error, state=after.state)
 
 
-def _has_place(of_tenant: int, in_all: int) -> bool:
+def _has_slot(of_tenant: int, in_all: int) -> bool:
     """Whether a tenant with so many requests under way, of so many in all, may begin another."""
     return in_all < (AT_ONCE - KEPT_FREE if of_tenant else AT_ONCE) and of_tenant < OF_TENANT
 
@@ -208,7 +208,7 @@ def _trim(uow: UnitOfWork, tenant: TenantId, webhook_id: str) -> None:
         uow.webhook_deliveries.delete(tenant, number=oldest.number)
 
 
-def _go_on(uow: UnitOfWork, webhook: WebhookRecord, told: int) -> None:
+def _go_on(uow: UnitOfWork, webhook: WebhookRecord, last: int) -> None:
     known = uow.webhooks.get(webhook.tenant, webhook.webhook_id)
     if known == webhook:
-        uow.webhooks.replace(replace(webhook, told=told))
+        uow.webhooks.replace(replace(webhook, told=last))
