@@ -7,8 +7,6 @@ points are noise of the surface; a thing is a cluster of them.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from enum import StrEnum
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +15,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from revisit.core.geometry import se3
+from revisit.core.merge.evidence import ChangedThing, ChangeKind
 from revisit.core.merge.fused import PlacedMap
 from revisit.core.merge.overlap import looked_through, seen_from
 
@@ -31,33 +30,16 @@ NEAR_M = 25.0
 and is so high; changes farther from the middle of the submap that looked through are not looked for."""
 
 
-class Change(StrEnum):
-    """Which day has it: the first one (it vanished) or the second (it appeared)."""
-
-    VANISHED = "VANISHED"
-    APPEARED = "APPEARED"
-
-
-@dataclass(frozen=True)
-class ChangedThing:
-    """A cluster of changed points: a box along the axes of the map around it, centre and extent in metres."""
-
-    kind: Change
-    centre_m: tuple[float, float, float]
-    extent_m: tuple[float, float, float]
-    points: int
-
-
 def changes_between(pairs: Sequence[tuple[PlacedMap, PlacedMap]]) -> list[ChangedThing]:
     """Changes from the first day to the second, the largest first; each pair has a submap of both days."""
     found = [
-        *_things(Change.VANISHED, pairs),
-        *_things(Change.APPEARED, [(second, first) for first, second in pairs]),
+        *_things(ChangeKind.VANISHED, pairs),
+        *_things(ChangeKind.APPEARED, [(second, first) for first, second in pairs]),
     ]
     return sorted(found, key=lambda one: (-one.points, one.kind, one.centre_m))[:MOST_CHANGES]
 
 
-def _things(kind: Change, pairs: Sequence[tuple[PlacedMap, PlacedMap]]) -> list[ChangedThing]:
+def _things(kind: ChangeKind, pairs: Sequence[tuple[PlacedMap, PlacedMap]]) -> list[ChangedThing]:
     scale = pairs[0][0].neural_map.frame.scale if pairs else 1.0
     gone = _gone_points(pairs)
     if not len(gone):
@@ -70,7 +52,7 @@ def _things(kind: Change, pairs: Sequence[tuple[PlacedMap, PlacedMap]]) -> list[
     return [_thing(kind, one) for one in high]
 
 
-def _thing(kind: Change, points: Array64) -> ChangedThing:
+def _thing(kind: ChangeKind, points: Array64) -> ChangedThing:
     low, high = points.min(axis=0), points.max(axis=0)
     centre, extent = (0.5 * (low + high)).tolist(), (high - low).tolist()
     return ChangedThing(kind, (centre[0], centre[1], centre[2]), (extent[0], extent[1], extent[2]), len(points))

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from revisit.core.geometry import se3
 from revisit.core.geometry.path import travelled_m
+from revisit.core.merge.evidence import JoiningLoops
 from revisit.core.pose_graph.consistency import agreement, largest_clique, oriented
-from revisit.core.pose_graph.graph import LoopEdge, PoseGraph
-from revisit.core.pose_graph.optimisation import LoopState, OptimisedGraph
+from revisit.core.pose_graph.graph import GraphState, LoopEdge, PoseGraph
+from revisit.core.pose_graph.optimisation import OptimisedGraph
 
 LONGEST_GAP_M = 50.0
 """Metres of a drive without a loop, beyond which it does not count as common track."""
@@ -22,35 +22,23 @@ RIVAL_APART_RAD = np.radians(10.0)
 """How far from the poses loops put their submaps that speak for another alignment: nearer ones only measured badly."""
 
 
-@dataclass(frozen=True)
-class JoiningLoops:
-    """The loops between two groups: how many the poses rest on, the way of the second group that they span, metres,
-    and how many agree on another alignment.
+def joining_loops(
+    graph: PoseGraph,
+    optimised: OptimisedGraph,
+    second: frozenset[str],
+    scale: float = 1.0,
+    spare: Sequence[LoopEdge] = (),
+) -> JoiningLoops:
+    """Those with one end in the sessions `second` and one in others; `scale` is that of the scene.
+
+    `spare` loops the poses do not rest on; they may speak for another alignment.
     """
-
-    loops: int
-    common_track_m: float
-    rival_loops: int
-
-    @classmethod
-    def of(
-        cls,
-        graph: PoseGraph,
-        optimised: OptimisedGraph,
-        second: frozenset[str],
-        scale: float = 1.0,
-        spare: Sequence[LoopEdge] = (),
-    ) -> JoiningLoops:
-        """Those with one end in the sessions `second` and one in others; `scale` is that of the scene.
-
-        `spare` loops the poses do not rest on; they may speak for another alignment.
-        """
-        crossing = [n for n, one in enumerate(graph.loops) if _ends_within(one, second) == 1]
-        kept = [n for n in crossing if optimised.loops[n] is LoopState.IN_MAP]
-        others = [graph.loops[n] for n in crossing if optimised.loops[n] is not LoopState.IN_MAP]
-        rivals = [loop for loop in (*others, *spare) if _is_apart(loop, optimised, scale)]
-        track_m = _common_track_m(graph, (graph.loops[n] for n in kept), second, LONGEST_GAP_M * scale)
-        return cls(len(kept), track_m, _rival_loops(graph, rivals, second))
+    crossing = [n for n, one in enumerate(graph.loops) if _ends_within(one, second) == 1]
+    kept = [n for n in crossing if optimised.loops[n] is GraphState.IN_MAP]
+    others = [graph.loops[n] for n in crossing if optimised.loops[n] is not GraphState.IN_MAP]
+    rivals = [loop for loop in (*others, *spare) if _is_apart(loop, optimised, scale)]
+    track_m = _common_track_m(graph, (graph.loops[n] for n in kept), second, LONGEST_GAP_M * scale)
+    return JoiningLoops(len(kept), track_m, _rival_loops(graph, rivals, second))
 
 
 def _ends_within(loop: LoopEdge, sessions: frozenset[str]) -> int:

@@ -8,8 +8,6 @@ looked through.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
-from enum import StrEnum
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,60 +15,10 @@ from scipy.spatial import cKDTree
 
 from revisit.core.geometry import se3
 from revisit.core.implicit_map.visibility import count_seen_through
+from revisit.core.merge.evidence import MergeEvidence
 from revisit.core.merge.fused import PlacedMap
 
 Array = NDArray[np.float32]
-
-
-class MergeRefusal(StrEnum):
-    """Why two groups are not joined."""
-
-    TOO_FEW_LOOPS = "TOO_FEW_LOOPS"
-    COMMON_TRACK_TOO_SHORT = "COMMON_TRACK_TOO_SHORT"
-    ALIGNMENTS_COMPETE = "ALIGNMENTS_COMPETE"
-    OVERLAP_TOO_SMALL = "OVERLAP_TOO_SMALL"
-    SURFACES_DISAGREE = "SURFACES_DISAGREE"
-    FREE_SPACE_VIOLATED = "FREE_SPACE_VIOLATED"
-
-
-@dataclass(frozen=True)
-class MergeLimits:
-    """Thresholds of the evidence. Lengths in metres.
-
-    loops that agree; the way that they span; rival_share, how many loops a competing alignment may have compared with
-    the chosen one; the common points; the median distance of common points from the other's surface; the share of
-    points that may stand where the other looked through.
-    """
-
-    loops: int = 3
-    common_track_m: float = 10.0
-    rival_share: float = 0.25
-    common_points: int = 1_000
-    median_residual_m: float = 0.15
-    seen_through_share: float = 0.054
-
-    def scaled(self, scale: float) -> MergeLimits:
-        """The limits of a scene of another size: lengths times `scale`."""
-        return replace(
-            self, common_track_m=self.common_track_m * scale, median_residual_m=self.median_residual_m * scale
-        )
-
-
-@dataclass(frozen=True)
-class MergeEvidence:
-    """The evidence for joining two placed groups.
-
-    common_points lie within a resolution of the other group's; residual_m is the median and far_share the share beyond
-    half a resolution of their distance from its surface; seen_through_share is the larger of both directions' shares of
-    points, among those near the other's submaps, that it looked through; overlap_share is that of common points among
-    the points of the submaps that were compared.
-    """
-
-    common_points: int
-    residual_m: float
-    far_share: float
-    seen_through_share: float
-    overlap_share: float = 0.0
 
 
 def compare_surfaces(first: Sequence[PlacedMap], second: Sequence[PlacedMap]) -> MergeEvidence:
@@ -125,43 +73,6 @@ def pairs_in_reach(
     ordered = sorted(pairs)
     chosen = np.unique(np.linspace(0, len(ordered) - 1, most).round().astype(int)) if len(ordered) > most else None
     return ordered if chosen is None else [ordered[row] for row in chosen]
-
-
-def loops_refusal(
-    loops: int, common_track_m: float, rival_loops: int, limits: MergeLimits = MergeLimits()
-) -> MergeRefusal | None:
-    """The first reason that the loops give against joining, None where there is none.
-
-    `loops` agree with the alignment and span `common_track_m`; `rival_loops` agree with another one.
-    """
-    reasons = (
-        (loops < limits.loops and rival_loops < limits.loops, MergeRefusal.TOO_FEW_LOOPS),
-        (rival_loops >= limits.rival_share * loops and rival_loops > 1, MergeRefusal.ALIGNMENTS_COMPETE),
-        (loops < limits.loops, MergeRefusal.TOO_FEW_LOOPS),
-        (common_track_m < limits.common_track_m, MergeRefusal.COMMON_TRACK_TOO_SHORT),
-    )
-    return next((reason for holds, reason in reasons if holds), None)
-
-
-def refusal(
-    evidence: MergeEvidence,
-    loops: int,
-    common_track_m: float,
-    rival_loops: int = 0,
-    limits: MergeLimits = MergeLimits(),
-) -> MergeRefusal | None:
-    """The first reason against joining, of the loops or of the surfaces, None where there is none."""
-    return loops_refusal(loops, common_track_m, rival_loops, limits) or surfaces_refusal(evidence, limits)
-
-
-def surfaces_refusal(evidence: MergeEvidence, limits: MergeLimits = MergeLimits()) -> MergeRefusal | None:
-    """The first reason that the surfaces give against joining, None where there is none."""
-    reasons = (
-        (evidence.common_points < limits.common_points, MergeRefusal.OVERLAP_TOO_SMALL),
-        (evidence.residual_m > limits.median_residual_m, MergeRefusal.SURFACES_DISAGREE),
-        (evidence.seen_through_share > limits.seen_through_share, MergeRefusal.FREE_SPACE_VIOLATED),
-    )
-    return next((reason for holds, reason in reasons if holds), None)
 
 
 def seen_from(one: PlacedMap, other: PlacedMap) -> Array:

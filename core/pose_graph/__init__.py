@@ -1,6 +1,6 @@
 """Pose graphs: sessions of one or many robots, joined by loops, without being bent by wrong ones.
 
-graph          trajectories and loops, and how much odometry drifts
+graph          trajectories and loops, how much odometry drifts, and the verdicts on loops
 independence   how much of a loop its neighbours do not say already
 variance_factor how much too large a graph states its uncertainties
 consistency    sets of loops between two sessions that agree with each other
@@ -18,21 +18,6 @@ g2o            graphs as text, for other tools
 
 The order above is the order of the steps: find loops that agree, place the sessions by them, optimise robustly, drop
 what does not fit, optimise what is left.
+
+Names are imported from their modules: the gateway reads `graph` and `faults` without loading a solver.
 """
-
-from revisit.core.pose_graph.graph import (
-    LoopEdge,
-    Node,
-    OdometryModel,
-    PoseGraph,
-    Trajectory,
-    loop_covariance,
-    loop_covariances,
-)
-from revisit.core.pose_graph.optimisation import LoopState, OptimisedGraph, Robustness, optimise
-from revisit.core.pose_graph.warm_start import SolvedComponent
-
-__all__ = [
-    "LoopEdge", "LoopState", "Node", "OdometryModel", "OptimisedGraph", "PoseGraph", "Robustness",
-    "SolvedComponent", "Trajectory", "loop_covariance", "loop_covariances", "optimise",
-]  # fmt: skip

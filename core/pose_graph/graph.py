@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
+from enum import StrEnum
 from functools import cached_property
 from typing import NamedTuple
 
@@ -42,6 +43,14 @@ def loop_covariances(measured: Sequence[Array64 | None]) -> list[Array64]:
         raise BadField("a loop's covariance must be positive semidefinite", field="covariance")
     floored = (axes * np.maximum(variances, LEAST_VARIANCE)[:, None, :]) @ axes.transpose(0, 2, 1)
     return [ASSUMED_COVARIANCE if one is None else known for one, known in zip(measured, floored, strict=True)]
+
+
+class GraphState(StrEnum):
+    """The verdict of the graph on an accepted loop."""
+
+    IN_MAP = "IN_MAP"
+    SET_ASIDE = "SET_ASIDE"
+    UNCONNECTED = "UNCONNECTED"
 
 
 class Node(NamedTuple):

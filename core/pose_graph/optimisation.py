@@ -15,7 +15,7 @@ from revisit.core.geometry import se3
 from revisit.core.pose_graph.broken_steps import broken_steps, shows_a_fault
 from revisit.core.pose_graph.consistency import ConsistentSet, consistent_sets
 from revisit.core.pose_graph.faults import Mending, OdometryFault
-from revisit.core.pose_graph.graph import Node, PoseGraph, Trajectory
+from revisit.core.pose_graph.graph import GraphState, Node, PoseGraph, Trajectory
 from revisit.core.pose_graph.heading_bias import straightened
 from revisit.core.pose_graph.least_squares import ROUGHLY, Kernel, cauchy, graduated, huber, minimise, settled
 from revisit.core.pose_graph.normal_equations import Edges, Factorisation
@@ -59,14 +59,6 @@ class Robustness(StrEnum):
     COMMIT = "commit"
 
 
-class LoopState(StrEnum):
-    """The verdict of the graph on a loop."""
-
-    IN_MAP = "IN_MAP"
-    SET_ASIDE = "SET_ASIDE"
-    UNCONNECTED = "UNCONNECTED"
-
-
 @dataclass(frozen=True)
 class OptimisedGraph:
     """Poses and the loops they rest on.
@@ -81,7 +73,7 @@ class OptimisedGraph:
 
     T_map_submap: dict[str, Array64]
     components: tuple[tuple[str, ...], ...]
-    loops: tuple[LoopState, ...]
+    loops: tuple[GraphState, ...]
     residuals: Array64
     covariances: dict[str, Array64]
     chi2: float
@@ -91,7 +83,7 @@ class OptimisedGraph:
     @property
     def price(self) -> float:
         """Squared errors of the steps and the loops in the map; each other loop costs as much as the gate."""
-        return self.chi2 + GATE * sum(state is not LoopState.IN_MAP for state in self.loops)
+        return self.chi2 + GATE * sum(state is not GraphState.IN_MAP for state in self.loops)
 
     def T_map_odom(self, trajectory: Trajectory) -> se3.Matrix4:
         """The correction of a session: where its odometry frame lies in the map, as of its last submap."""
@@ -160,7 +152,7 @@ def _broken(graph: PoseGraph, answer: OptimisedGraph, *, odd: bool = False) -> l
     for group in answer.components:
         poses = {session: answer.T_map_submap[session] for session in group}
         inside = [n for n, one in enumerate(graph.loops) if one.match.session in poses and one.query.session in poses]
-        kept = {n for n in inside if answer.loops[n] is LoopState.IN_MAP}
+        kept = {n for n in inside if answer.loops[n] is GraphState.IN_MAP}
         left = {n for n in supported.intersection(inside) - kept if shows_a_fault(graph.loops[n], poses)}
         if left:
             found += broken_steps(graph, kept | left, poses, odd=odd)
@@ -180,7 +172,7 @@ def _judged(graph: PoseGraph, robustness: Robustness, progress: Callable[[int, i
     poses: dict[str, Array64] = {}
     covariances: dict[str, Array64] = {}
     chi2, degrees_of_freedom = 0.0, 0
-    states = [LoopState.UNCONNECTED] * len(graph.loops)
+    states = [GraphState.UNCONNECTED] * len(graph.loops)
     residuals = np.full(len(graph.loops), np.nan)
     for done, component in enumerate(components):
         progress(done, len(components))
@@ -192,7 +184,7 @@ def _judged(graph: PoseGraph, robustness: Robustness, progress: Callable[[int, i
         poses.update(problem.by_session(solution))
         for number, residual in zip(problem.loops, problem.residuals(solution), strict=True):
             residuals[number] = residual
-            states[number] = LoopState.IN_MAP if number in kept else LoopState.SET_ASIDE
+            states[number] = GraphState.IN_MAP if number in kept else GraphState.SET_ASIDE
     groups = tuple(tuple(one.T_map_odom) for one in components)
     return OptimisedGraph(poses, groups, tuple(states), residuals, covariances, chi2, degrees_of_freedom)
 

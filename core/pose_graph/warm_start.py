@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 from revisit.core.geometry import se3, se3_rows
 from revisit.core.pose_graph.broken_steps import BROKEN, LOOSER
 from revisit.core.pose_graph.faults import composed, steps_of
-from revisit.core.pose_graph.graph import LoopEdge, Node, PoseGraph, Trajectory
+from revisit.core.pose_graph.graph import GraphState, LoopEdge, Node, PoseGraph, Trajectory
 from revisit.core.pose_graph.normal_equations import Edges
-from revisit.core.pose_graph.optimisation import GATE, WIDE_GATE, LoopState
+from revisit.core.pose_graph.optimisation import GATE, WIDE_GATE
 
 Array64 = NDArray[np.float64]
 
@@ -109,7 +109,7 @@ class SolvedComponent:
         self._ends[session] = node.ordinal
         return node
 
-    def add(self, loop: LoopEdge) -> LoopState:
+    def add(self, loop: LoopEdge) -> GraphState:
         """Take the loop into the map, or set it aside where the poses, as sure as they are, contradict it.
 
         By how much the least cost grows is the squared Mahalanobis distance of the loop from the poses, with their
@@ -120,12 +120,12 @@ class SolvedComponent:
         taken = [*self._taken, self._linearised(loop)]
         inner = _inner(taken)
         if self._expected_growth(taken, inner) > WIDE_GATE:
-            return LoopState.SET_ASIDE
+            return GraphState.SET_ASIDE
         state, cost = self._settled(taken, np.asarray(np.linalg.inv(inner)))
         if not cost - self._cost <= GATE:
-            return LoopState.SET_ASIDE
+            return GraphState.SET_ASIDE
         self._taken, self._state, self._cost = taken, state, cost
-        return LoopState.IN_MAP
+        return GraphState.IN_MAP
 
     def T_map_submap(self, node: Node) -> se3.Matrix4:
         """The pose (4, 4) of a submap."""

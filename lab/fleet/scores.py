@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from revisit.core.geometry import se3
-from revisit.core.pose_graph import PoseGraph, Robustness, optimise
+from revisit.core.pose_graph.graph import PoseGraph
+from revisit.core.pose_graph.optimisation import Robustness, optimise
 from revisit.evaluation.trajectory_error import rigid_fit, trajectory_error
 
 Poses = Mapping[str, se3.Matrix4]

@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 
 from lab.pose_graphs.g2o_reading import read_g2o
 from lab.pose_graphs.wrong_loops import is_wrong, with_agreeing_loops, with_random_loops
-from revisit.core.pose_graph import LoopState, PoseGraph, Robustness, optimise
+from revisit.core.pose_graph.graph import GraphState, PoseGraph
+from revisit.core.pose_graph.optimisation import Robustness, optimise
 
 GRAPHS = ("kitti_00", "kitti_05", "intel", "CSAIL", "sphere2500", "parking-garage")
 METHODS = (Robustness.ONLINE, Robustness.COMMIT, Robustness.PLAIN, Robustness.HUBER, Robustness.GNC)
@@ -112,7 +113,7 @@ def measure(case: Case, seed: int = SEED) -> Outcome:
     result = optimise(spoilt, case.method)
     cpu_s = time.process_time() - started
     best = optimise(graph, Robustness.PLAIN).T_map_submap
-    kept = [loop for loop, state in zip(spoilt.loops, result.loops, strict=True) if state is LoopState.IN_MAP]
+    kept = [loop for loop, state in zip(spoilt.loops, result.loops, strict=True) if state is GraphState.IN_MAP]
     wrong_kept = sum(map(is_wrong, kept))
     return Outcome(
         case.file.stem, _poses(graph), case.spoiling.title, case.method.value, True,

@@ -11,17 +11,9 @@ from numpy.typing import NDArray
 
 from lab.pose_graphs.benchmark import rms_distance
 from revisit.core.geometry import se3
-from revisit.core.pose_graph import (
-    LoopEdge,
-    LoopState,
-    Node,
-    OdometryModel,
-    PoseGraph,
-    Robustness,
-    SolvedComponent,
-    Trajectory,
-    optimise,
-)
+from revisit.core.pose_graph.graph import GraphState, LoopEdge, Node, OdometryModel, PoseGraph, Trajectory
+from revisit.core.pose_graph.optimisation import Robustness, optimise
+from revisit.core.pose_graph.warm_start import SolvedComponent
 
 SESSION = "drive"
 STEP_M = 5.0
@@ -69,7 +61,7 @@ def run(poses: int = 10_000, loops: int = 100, seed: int = 0) -> OneLoopTimes:
     taken, cpu_ms = 0, []
     for number in sorted(late):
         started = time.process_time()
-        taken += solved.add(graph.loops[number]) is LoopState.IN_MAP
+        taken += solved.add(graph.loops[number]) is GraphState.IN_MAP
         cpu_ms.append(1e3 * (time.process_time() - started))
         if solved.is_half_full:
             solved.refresh()

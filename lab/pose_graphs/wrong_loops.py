@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from revisit.core.geometry import se3
-from revisit.core.pose_graph import LoopEdge, Node, PoseGraph, Trajectory
+from revisit.core.pose_graph.graph import LoopEdge, Node, PoseGraph, Trajectory
 
 WRONG = "wrong-"
 """How the names of wrong loops begin."""

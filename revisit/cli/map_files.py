@@ -59,7 +59,7 @@ def _of_version(http: str, map_id: str, submaps: Container[str]) -> dict[str, di
 
 def _optimised_here(graph: Graph) -> dict[str, dict[str, Matrix4]]:
     """T_map_submap by submap, by group of sessions that loops join."""
-    from revisit.core.pose_graph import optimise
+    from revisit.core.pose_graph.optimisation import optimise
 
     posed = pose_graph(graph)
     if not posed.trajectories:
@@ -120,7 +120,7 @@ def _merged_map(
     from revisit.core.config import PipelineConfig
     from revisit.core.geometry.se3 import from_yaw
     from revisit.core.implicit_map import NeuralMap
-    from revisit.core.merge import PlacedMap, merge_neural_maps
+    from revisit.core.merge.fused import PlacedMap, merge_neural_maps
     from revisit.core.model_bundle import load_packaged_models
 
     decoder, config = load_packaged_models().decoder, PipelineConfig().implicit_map

@@ -15,7 +15,8 @@ from revisit.cli.output import emit_json, emit_table, refuse, say, signs
 
 if TYPE_CHECKING:
     from revisit.cli.pose_graph_files import Graph
-    from revisit.core.pose_graph import OptimisedGraph, PoseGraph
+    from revisit.core.pose_graph.graph import PoseGraph
+    from revisit.core.pose_graph.optimisation import OptimisedGraph
 
 
 @needs("service")
@@ -33,7 +34,7 @@ def pose_graph(
     map.
     """
     from revisit.cli import pose_graph_files
-    from revisit.core.pose_graph import optimise
+    from revisit.core.pose_graph.optimisation import optimise
 
     signs.doing("optimising here; the first time it compiles its kernels, for some 20 s")
     read = pose_graph_files.read_graph(http, map_id)

@@ -17,7 +17,8 @@ from revisit.sdk.client import Client
 from revisit.sdk.resources import LoopClosure, Submap
 
 if TYPE_CHECKING:
-    from revisit.core.pose_graph import LoopEdge, Node, OptimisedGraph, PoseGraph
+    from revisit.core.pose_graph.graph import LoopEdge, Node, PoseGraph
+    from revisit.core.pose_graph.optimisation import OptimisedGraph
 
 
 @dataclass(frozen=True)
@@ -44,7 +45,7 @@ def read_graph(http: str, map_id: str, session_id: str = "") -> Graph:
 
 def pose_graph(graph: Graph) -> PoseGraph:
     """The graph that `core.pose_graph` optimises; steps are as uncertain as its model of odometry says."""
-    from revisit.core.pose_graph import Node, PoseGraph, Trajectory
+    from revisit.core.pose_graph.graph import Node, PoseGraph, Trajectory
 
     tracks = [track for track in graph.tracks if track]
     node = {submap.name: Node(_session(submap), n) for track in tracks for n, submap in enumerate(track)}
@@ -61,7 +62,7 @@ def as_g2o(graph: Graph) -> str:
 
     Sessions that loops join lie in one frame; the first vertex of each group of sessions is fixed.
     """
-    from revisit.core.pose_graph import optimise
+    from revisit.core.pose_graph.optimisation import optimise
 
     posed = pose_graph(graph)
     return optimised_g2o(posed, optimise(posed)) if posed.trajectories else ""
@@ -69,11 +70,11 @@ def as_g2o(graph: Graph) -> str:
 
 def optimised_g2o(graph: PoseGraph, optimised: OptimisedGraph) -> str:
     """`as_g2o` of a graph that was optimised."""
-    from revisit.core.pose_graph import LoopState
     from revisit.core.pose_graph.g2o import write_g2o
+    from revisit.core.pose_graph.graph import GraphState
 
     states = zip(graph.loops, optimised.loops, strict=True)
-    kept = tuple(loop for loop, state in states if state is LoopState.IN_MAP)
+    kept = tuple(loop for loop, state in states if state is GraphState.IN_MAP)
     text = write_g2o(replace(graph, loops=kept), optimised.T_map_submap)
     first, fixed = 0, []
     for one in graph.trajectories:
@@ -114,14 +115,14 @@ def _session(submap: Submap) -> str:
 
 
 def _edge(loop: LoopClosure, T_match_query: Matrix4, node: dict[str, Node]) -> LoopEdge:
-    from revisit.core.pose_graph import LoopEdge
+    from revisit.core.pose_graph.graph import LoopEdge
 
     return LoopEdge(loop.name, node[loop.match], node[loop.query], T_match_query, _covariance(loop))
 
 
 def _covariance(loop: LoopClosure) -> NDArray[np.float64]:
     """The covariance (x, y, z, rx, ry, rz) in the match frame, as verification measured it."""
-    from revisit.core.pose_graph import loop_covariance
+    from revisit.core.pose_graph.graph import loop_covariance
 
     measured = np.asarray(loop.evidence.get("measurement", {}).get("covariance", []), dtype=np.float64)
     usable = measured.size == 36 and bool(np.isfinite(measured).all())

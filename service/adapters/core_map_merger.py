@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import asdict
+from dataclasses import replace
 from functools import lru_cache, partial
 from typing import TYPE_CHECKING, TypeVar
 
@@ -12,22 +12,14 @@ import numpy as np
 
 from revisit.core.errors import DataLoss
 from revisit.core.geometry.se3 import Matrix4
+from revisit.core.merge.evidence import MergeEvidence, MergeLimits
 from revisit.service.adapters.core_map_optimiser import NamedGraph
-from revisit.service.domain.states import ChangeKind
-from revisit.service.ports.map_merger import (
-    AlignedMaps,
-    DescribedPlaces,
-    Judgement,
-    MapChange,
-    PlacedSubmapMap,
-    SurfaceAudit,
-    SurfaceEvidence,
-)
+from revisit.service.ports.map_merger import AlignedMaps, DescribedPlaces, PlacedSubmapMap
 from revisit.service.ports.map_optimiser import MapGraph, Progress, TrackLoop
 
 if TYPE_CHECKING:
     from revisit.core.implicit_map import DecoderWeights
-    from revisit.core.merge import MergeEvidence, PlacedMap
+    from revisit.core.merge.fused import PlacedMap
 
 REACH_M = 25.0
 """Submaps farther apart are not compared, metres in a scene of the size of a street."""
@@ -41,6 +33,8 @@ HELD_MAPS = 64
 
 class CoreMapMerger:
     """`MapMerger` by `core.merge` and `core.pose_graph`."""
+
+    limits = MergeLimits()
 
     def candidates(self, first: DescribedPlaces, second: DescribedPlaces, k: int) -> list[tuple[int, int, float]]:
         """See `MapMerger`."""
@@ -58,14 +52,14 @@ class CoreMapMerger:
         self, graph: MapGraph, second: frozenset[int], spare: Sequence[TrackLoop], scale: float, progress: Progress
     ) -> AlignedMaps:
         """See `MapMerger`."""
-        from revisit.core.merge.joining import JoiningLoops
-        from revisit.core.pose_graph import optimise
+        from revisit.core.merge.joining import joining_loops
+        from revisit.core.pose_graph.optimisation import optimise
 
         named = NamedGraph.of(graph)
         optimised = optimise(named.posed, progress=partial(progress, "ALIGN"))
         sessions = frozenset(named.names[number] for number in second)
-        found = JoiningLoops.of(named.posed, optimised, sessions, scale, named.edges(spare))
-        return AlignedMaps(named.answer(optimised), found.loops, found.common_track_m, found.rival_loops)
+        joining = joining_loops(named.posed, optimised, sessions, scale, named.edges(spare))
+        return AlignedMaps(named.answer(optimised), joining)
 
     def compare(
         self,
@@ -74,13 +68,13 @@ class CoreMapMerger:
         read: Callable[[str], bytes],
         scale: float,
         progress: Progress,
-    ) -> SurfaceEvidence:
+    ) -> MergeEvidence:
         """See `MapMerger`."""
-        from revisit.core.merge import compare_pairs, pairs_in_reach
         from revisit.core.merge.changes import changes_between
+        from revisit.core.merge.overlap import compare_pairs, pairs_in_reach
 
         if not first or not second:
-            return SurfaceEvidence(0, 0.0, float("inf"), 1.0, 0.0, ())
+            return compare_pairs(())
         poses = [np.stack([one.T_map_submap for one in group]) for group in (first, second)]
         pairs = pairs_in_reach(poses[0][:, :3, 3], poses[1][:, :3, 3], REACH_M * scale, most=MOST_COMPARED)
         load = _loader(read)
@@ -89,11 +83,7 @@ class CoreMapMerger:
             progress("COMPARE_SURFACES", done, len(pairs))
             ends = first[one], second[other]
             placed.append((load(ends[0].sha256, ends[0].T_map_submap), load(ends[1].sha256, ends[1].T_map_submap)))
-        changes = changes_between(placed)
-        return _evidence(
-            compare_pairs(placed),
-            tuple(MapChange(ChangeKind(one.kind.value), one.centre_m, one.extent_m, one.points) for one in changes),
-        )
+        return replace(compare_pairs(placed), changes=tuple(changes_between(placed)))
 
     def audit(
         self,
@@ -103,9 +93,9 @@ class CoreMapMerger:
         scale: float,
         most: int,
         progress: Progress,
-    ) -> SurfaceAudit | None:
+    ) -> MergeEvidence | None:
         """See `MapMerger`."""
-        from revisit.core.merge import MergeLimits, compare_pairs, pairs_in_reach, surfaces_refusal
+        from revisit.core.merge.overlap import compare_pairs, pairs_in_reach
 
         poses = [np.stack(list(group.values())) for group in (first, second)]
         rows = pairs_in_reach(poses[0][:, :3, 3], poses[1][:, :3, 3], REACH_M * scale, most=most)
@@ -117,33 +107,7 @@ class CoreMapMerger:
             with suppress(DataLoss):
                 ends = (load(numbers[0][one], poses[0][one]), load(numbers[1][other], poses[1][other]))
                 placed.append(ends)
-        if rows and not placed:
-            return None
-        found = compare_pairs(placed)
-        reason = surfaces_refusal(found, MergeLimits().scaled(scale))
-        return SurfaceAudit(_evidence(found), None if reason is None else reason.value)
-
-    def judge(self, aligned: AlignedMaps, surfaces: SurfaceEvidence | None, scale: float) -> Judgement:
-        """See `MapMerger`."""
-        from revisit.core.merge import MergeEvidence, MergeLimits, loops_refusal, refusal
-
-        limits = MergeLimits().scaled(scale)
-        of_loops = aligned.loops, aligned.common_track_m, aligned.rival_loops
-        if surfaces is None:
-            reason = loops_refusal(*of_loops, limits)
-        else:
-            seen = MergeEvidence(
-                surfaces.common_points, surfaces.residual_m, surfaces.far_share, surfaces.seen_through_share,
-                surfaces.overlap_share,
-            )  # fmt: skip
-            reason = refusal(seen, *of_loops, limits)
-        return Judgement(None if reason is None else reason.value, asdict(limits))
-
-
-def _evidence(found: MergeEvidence, changes: tuple[MapChange, ...] = ()) -> SurfaceEvidence:
-    return SurfaceEvidence(
-        found.common_points, found.overlap_share, found.residual_m, found.far_share, found.seen_through_share, changes
-    )
+        return None if rows and not placed else compare_pairs(placed)
 
 
 Key = TypeVar("Key", str, int)
@@ -153,7 +117,7 @@ def _loader(read: Callable[[Key], bytes]) -> Callable[[Key, Matrix4], PlacedMap]
     """What places a neural map; those of the last HELD_MAPS keys stay decoded."""
     from revisit.core.config import ImplicitMapConfig
     from revisit.core.implicit_map import NeuralMap
-    from revisit.core.merge import PlacedMap
+    from revisit.core.merge.fused import PlacedMap
 
     @lru_cache(maxsize=HELD_MAPS)
     def neural_map(key: Key) -> NeuralMap:

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from revisit.service.domain.states import GraphState
+from revisit.core.pose_graph.graph import GraphState
 from revisit.service.large_blocks import return_free_memory
 from revisit.service.ports.map_optimiser import (
     JudgedLoop,
@@ -22,12 +22,12 @@ from revisit.service.ports.map_optimiser import (
     SessionTrack,
     SolvedMap,
     SolvedTrack,
-    TrackFault,
     TrackLoop,
 )
 
 if TYPE_CHECKING:
-    from revisit.core.pose_graph import LoopEdge, Node, OptimisedGraph, PoseGraph
+    from revisit.core.pose_graph.graph import LoopEdge, Node, PoseGraph
+    from revisit.core.pose_graph.optimisation import OptimisedGraph
 
 Array64 = NDArray[np.float64]
 
@@ -37,7 +37,7 @@ class CoreMapOptimiser:
 
     def optimise(self, graph: MapGraph, progress: Progress) -> OptimisedMap:
         """See `MapOptimiser`."""
-        from revisit.core.pose_graph import optimise
+        from revisit.core.pose_graph.optimisation import optimise
 
         named = NamedGraph.of(graph)
         return named.answer(optimise(named.posed, progress=partial(progress, "OPTIMISE")))
@@ -67,7 +67,7 @@ class NamedGraph:
     @classmethod
     def of(cls, graph: MapGraph) -> NamedGraph:
         """Steps are as uncertain as the model of odometry in `core.pose_graph` says."""
-        from revisit.core.pose_graph import Node, PoseGraph, Trajectory
+        from revisit.core.pose_graph.graph import Node, PoseGraph, Trajectory
         from revisit.core.pose_graph.independence import weighed
 
         names = _names(graph.tracks)
@@ -92,7 +92,7 @@ class NamedGraph:
         """The answer of the port."""
         tracks = tuple(self._track(track, optimised) for track in self.graph.tracks)
         judged = {
-            loop_number(loop): JudgedLoop(loop_number(loop), GraphState(state.value), float(distance))
+            loop_number(loop): JudgedLoop(loop_number(loop), state, float(distance))
             for loop, state, distance in zip(self.posed.loops, optimised.loops, optimised.residuals, strict=True)
         }
         judged |= {
@@ -101,10 +101,7 @@ class NamedGraph:
         }
         loops = tuple(judged[loop.number] for loop in self.graph.loops)
         numbers = {name: number for number, name in self.names.items()}
-        faults = tuple(
-            TrackFault(numbers[one.session], one.kind.value, one.first, one.last, one.amount, one.sigma, one.loops)
-            for one in optimised.faults
-        )
+        faults = tuple(replace(one, session=str(numbers[one.session])) for one in optimised.faults)
         return OptimisedMap(tracks, loops, optimised.chi2, optimised.degrees_of_freedom, faults)
 
     def _track(self, track: SessionTrack, optimised: OptimisedGraph) -> OptimisedTrack:
@@ -135,7 +132,7 @@ def _digest(array: Array64) -> str:
 
 
 def _edges(loops: Sequence[TrackLoop], nodes: dict[int, Node]) -> list[LoopEdge]:
-    from revisit.core.pose_graph import LoopEdge, loop_covariances
+    from revisit.core.pose_graph.graph import LoopEdge, loop_covariances
 
     covariances = loop_covariances([loop.covariance for loop in loops])
     return [

@@ -9,17 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from revisit.core.geometry import se3
-from revisit.core.pose_graph import (
-    LoopEdge,
-    LoopState,
-    Node,
-    OdometryModel,
-    PoseGraph,
-    SolvedComponent,
-    loop_covariance,
-)
+from revisit.core.pose_graph.graph import GraphState, LoopEdge, Node, OdometryModel, PoseGraph, loop_covariance
 from revisit.core.pose_graph.independence import share_beside
 from revisit.core.pose_graph.variance_factor import rescaled, variance_factor
+from revisit.core.pose_graph.warm_start import SolvedComponent
 from revisit.service.ports.map_optimiser import MapGraph, SolvedTrack, TrackLoop
 
 Array64 = NDArray[np.float64]
@@ -66,7 +59,7 @@ class CoreSolvedMap:
         covariance = self._factor * loop_covariance(loop.covariance)
         edge = LoopEdge(str(loop.number), match, query, loop.T_match_query, covariance)
         taken = self._component(anchor).add(replace(edge, independent_share=self._share(match, query)))
-        if taken is not LoopState.IN_MAP:
+        if taken is not GraphState.IN_MAP:
             return False
         self._remember(match, query)
         return True

@@ -32,7 +32,7 @@ class CoreTileMaker:
         self, placed: Sequence[PlacedSubmapMap], centre_m: NDArray[np.float64], read: Callable[[str], bytes]
     ) -> FusedTile | None:
         """See `TileMaker`."""
-        from revisit.core.merge import PlacedMap
+        from revisit.core.merge.fused import PlacedMap
         from revisit.core.merge.tiles import fuse_tile
 
         maps = (PlacedMap(self._neural_map(one.sha256, read), one.T_map_submap) for one in placed)

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import AsyncIterator
 
+from revisit.core.pose_graph.graph import GraphState
 from revisit.service.calls.operations import operation_fields
 from revisit.service.domain.identity import TenantId
-from revisit.service.domain.states import GraphState, LoopState
+from revisit.service.domain.states import LoopState
 from revisit.service.features.graph.map_frames import matrix_of
 from revisit.service.features.loops.calls import LoopClosureView
 from revisit.service.features.loops.decisions import LoopEventView, ProposeLoop

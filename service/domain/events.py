@@ -10,9 +10,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol, TypeAlias, TypeVar
 
+from revisit.core.pose_graph.graph import GraphState
 from revisit.service.domain.identity import TenantId
 from revisit.service.domain.records import JobRecord, LoopRecord, MapVersionRecord
-from revisit.service.domain.states import EventKind, GraphState, LoopState, OperationKind
+from revisit.service.domain.states import EventKind, LoopState, OperationKind
 
 R = TypeVar("R", contravariant=True)
 

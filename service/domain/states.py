@@ -28,14 +28,6 @@ class LoopState(StrEnum):
     PROPOSED = "PROPOSED"
 
 
-class GraphState(StrEnum):
-    """The verdict of the pose graph on an accepted loop closure."""
-
-    IN_MAP = "IN_MAP"
-    SET_ASIDE = "SET_ASIDE"
-    UNCONNECTED = "UNCONNECTED"
-
-
 class LoopEventKind(StrEnum):
     """The kind of a change of a loop closure."""
 
@@ -93,13 +85,6 @@ class MergeVerdict(StrEnum):
     MERGED = "MERGED"
     REFUSED = "REFUSED"
     MERGEABLE = "MERGEABLE"
-
-
-class ChangeKind(StrEnum):
-    """The change of a thing between two days."""
-
-    VANISHED = "VANISHED"
-    APPEARED = "APPEARED"
 
 
 class OperationState(StrEnum):

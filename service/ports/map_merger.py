@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from revisit.core.geometry.se3 import Matrix4
-from revisit.service.domain.states import ChangeKind
+from revisit.core.merge.evidence import JoiningLoops, MergeEvidence, MergeLimits
 from revisit.service.ports.map_optimiser import MapGraph, OptimisedMap, Progress, TrackLoop
 
 
@@ -25,69 +25,27 @@ class DescribedPlaces:
 
 @dataclass(frozen=True)
 class AlignedMaps:
-    """The poses of two maps in one graph, and the loops between them: the number that the poses rest on, the length of
-    the second map's path that they span (metres), and the number that agree on another alignment.
-    """
+    """The poses of two maps in one graph, and the evidence of the loops between them."""
 
     optimised: OptimisedMap
-    loops: int
-    common_track_m: float
-    rival_loops: int
+    joining: JoiningLoops
 
 
 @dataclass(frozen=True)
 class PlacedSubmapMap:
-    """A neural map by its blob, and where its submap lies."""
+    """A neural map by its blob, and where its submap lies: a `PlacedMap` of `core.merge` before it is read."""
 
     sha256: str
     T_map_submap: Matrix4
 
 
-@dataclass(frozen=True)
-class MapChange:
-    """Something of a scene that one day has and the other has not: a box along the map's axes around its points.
-
-    centre_m and extent_m (3,), metres; `points` neural points.
-    """
-
-    kind: ChangeKind
-    centre_m: tuple[float, float, float]
-    extent_m: tuple[float, float, float]
-    points: int
-
-
-@dataclass(frozen=True)
-class SurfaceEvidence:
-    """Agreement of the surfaces of two placed maps (see `core.merge.overlap`)."""
-
-    common_points: int
-    overlap_share: float
-    residual_m: float
-    far_share: float
-    seen_through_share: float
-    changes: tuple[MapChange, ...]
-
-
-@dataclass(frozen=True)
-class Judgement:
-    """Why two maps are not joined, None where nothing speaks against it; and the limits that this rests on."""
-
-    refusal: str | None
-    limits: dict[str, float]
-
-
-@dataclass(frozen=True)
-class SurfaceAudit:
-    """The surfaces of two placed groups of submaps: what they say of each other, and the reason that they give against
-    joining, None where they give none.
-    """
-
-    evidence: SurfaceEvidence
-    refusal: str | None
-
-
 class MapMerger(Protocol):
     """Finds out whether two maps are one."""
+
+    @property
+    def limits(self) -> MergeLimits:
+        """The limits of evidence in a scene of the size of a street."""
+        ...
 
     def candidates(self, first: DescribedPlaces, second: DescribedPlaces, k: int) -> list[tuple[int, int, float]]:
         """Rows of both that may show the same place, with the cosine of their descriptors, the likest first.
@@ -112,7 +70,7 @@ class MapMerger(Protocol):
         read: Callable[[str], bytes],
         scale: float,
         progress: Progress,
-    ) -> SurfaceEvidence:
+    ) -> MergeEvidence:
         """Points of each against the field and the free space of the other. `read` gets a neural map by its hash."""
         ...
 
@@ -124,14 +82,10 @@ class MapMerger(Protocol):
         scale: float,
         most: int,
         progress: Progress,
-    ) -> SurfaceAudit | None:
+    ) -> MergeEvidence | None:
         """The surfaces alone, by at most `most` pairs of submaps spread over the whole overlap; changes are not sought.
 
         T_map_submap (4, 4) of each group's submaps by number. `read` gets the neural map of one, and raises DataLoss
         where there is none: such pairs do not count. None where submaps lie near each other and no pair can be read.
         """
-        ...
-
-    def judge(self, aligned: AlignedMaps, surfaces: SurfaceEvidence | None, scale: float) -> Judgement:
-        """The first reason against, without `surfaces` by the loops alone."""
         ...

@@ -1,4 +1,8 @@
-"""The optimisation of a map's pose graph, as the workers call it."""
+"""The optimisation of a map's pose graph, as the workers call it.
+
+Tracks and loops are named by the numbers of their rows, and stay beside the types of `core.pose_graph`: there, sessions
+and loops are named by their content, so that the same drives give the same poses, whatever their numbers.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from revisit.core.geometry.se3 import Matrix4
-from revisit.service.domain.states import GraphState
+from revisit.core.merge.evidence import MergeEvidence, MergeRefusal
+from revisit.core.pose_graph.faults import OdometryFault
+from revisit.core.pose_graph.graph import GraphState
 
 Array64 = NDArray[np.float64]
 
@@ -88,24 +94,6 @@ FAULTS = "odometry_faults"
 """Where the stored summary of a version keeps the faults of odometry, beside the fields of a MapVersionSummary."""
 
 
-@dataclass(frozen=True)
-class TrackFault:
-    """A fault of a session's odometry that was mended before its loops were judged.
-
-    It lies between the submaps `first` and `last` of its track, from 0. amount: metres (SLIP, JUMP), radians (TURN,
-    TILT), or a constant drift: metres (SCALE, SLOPE) or radians (HEADING) a metre; sigma is its standard
-    deviation. `loops` speak for it.
-    """
-
-    session_number: int
-    kind: str
-    first: int
-    last: int
-    amount: float
-    sigma: float
-    loops: int
-
-
 AUDITED = "audited_submaps"
 """Where the stored summary of a version keeps `OptimisedMap.audited`."""
 
@@ -115,24 +103,19 @@ REFUSED_JOINS = "refused_joins"
 
 @dataclass(frozen=True)
 class RefusedJoin:
-    """Sessions, by number on both sides, that so many loops would join and whose surfaces speak against it.
-
-    The other fields are those of a `SurfaceEvidence`.
-    """
+    """Sessions, by number on both sides, that so many loops would join and whose surfaces speak against it."""
 
     sessions: tuple[int, ...]
     others: tuple[int, ...]
-    reason: str
+    reason: MergeRefusal
     loops: int
-    common_points: int
-    residual_m: float
-    seen_through_share: float
+    evidence: MergeEvidence
 
 
 @dataclass(frozen=True)
 class OptimisedMap:
     """The most likely poses, what they say of every loop, how well they fit (`chi2` by `degrees_of_freedom`), the
-    faults of odometry without which they do, and what surfaces kept apart.
+    faults of odometry without which they do (`session` is the number), and the joins that surfaces speak against.
 
     audited: how many submaps each session, by number, had when its surfaces were last compared with others.
     """
@@ -141,7 +124,7 @@ class OptimisedMap:
     loops: tuple[JudgedLoop, ...]
     chi2: float
     degrees_of_freedom: int
-    faults: tuple[TrackFault, ...] = ()
+    faults: tuple[OdometryFault, ...] = ()
     refused_joins: tuple[RefusedJoin, ...] = ()
     audited: Mapping[int, int] = field(default_factory=dict)
 

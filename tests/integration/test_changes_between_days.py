@@ -9,8 +9,10 @@ import numpy as np
 import pytest
 
 from revisit.core.config import PipelineConfig
-from revisit.core.merge import PlacedMap, pairs_in_reach
-from revisit.core.merge.changes import Change, ChangedThing, changes_between
+from revisit.core.merge.changes import changes_between
+from revisit.core.merge.evidence import ChangedThing, ChangeKind
+from revisit.core.merge.fused import PlacedMap
+from revisit.core.merge.overlap import pairs_in_reach
 from revisit.core.model_bundle import load_packaged_models
 from revisit.core.pipeline import describe
 from revisit.core.scan import Scan
@@ -39,8 +41,8 @@ class Slots:
     before: np.ndarray
     after: np.ndarray
 
-    def changed(self, kind: Change) -> np.ndarray:
-        return self.before & ~self.after if kind is Change.VANISHED else self.after & ~self.before
+    def changed(self, kind: ChangeKind) -> np.ndarray:
+        return self.before & ~self.after if kind is ChangeKind.VANISHED else self.after & ~self.before
 
     def of(self, thing: ChangedThing) -> np.ndarray:
         """The slots within a metre of its box."""
@@ -82,12 +84,12 @@ def scores(seed: int) -> tuple[int, int, int, int]:
     places = [np.stack([one.T_map_submap[:3, 3] for one in maps]) for maps in days]
     pairs = [(days[0][one], days[1][other]) for one, other in pairs_in_reach(places[0], places[1], 25.0, most=100)]
     slots, things = slots_of(world, later), changes_between(pairs)
-    hits = [(thing, slots.of(thing) & slots.changed(Change(thing.kind))) for thing in things]
+    hits = [(thing, slots.of(thing) & slots.changed(ChangeKind(thing.kind))) for thing in things]
     right = sum(bool(hit.any()) for _, hit in hits)
     wrong = sum(not hit.any() and not slots.swapped(thing) for thing, hit in hits)
     inside = (slots.places[:, 0] > ENDS_M[0]) & (slots.places[:, 0] < ENDS_M[1])
     found, wanted = 0, 0
-    for kind in Change:
+    for kind in ChangeKind:
         of_kind = slots.changed(kind) & inside
         seen = np.any([hit for thing, hit in hits if thing.kind is kind] or [np.zeros_like(inside)], axis=0)
         found, wanted = found + int((of_kind & seen).sum()), wanted + int(of_kind.sum())

@@ -7,7 +7,7 @@ import pytest
 from scipy.stats import chi2
 
 from revisit.core.geometry import se3
-from revisit.core.pose_graph import optimise
+from revisit.core.pose_graph.optimisation import optimise
 from tests.support.made_up_fleet import Fleet, fleet
 
 WITHIN = chi2.ppf(0.95, 6)

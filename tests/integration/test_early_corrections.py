@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import structlog
 
-from revisit.core.pose_graph import Node
+from revisit.core.pose_graph.graph import Node
 from revisit.service.adapters.core_map_optimiser import CoreMapOptimiser
 from revisit.service.domain.identity import SessionKey
 from revisit.service.domain.policy import Policy

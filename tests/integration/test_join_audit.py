@@ -6,12 +6,13 @@ from dataclasses import replace
 
 import pytest
 
+from revisit.core.merge.evidence import MergeEvidence
+from revisit.core.pose_graph.graph import GraphState
 from revisit.service.domain.policy import Policy
-from revisit.service.domain.states import GraphState, LoopEventKind
+from revisit.service.domain.states import LoopEventKind
 from revisit.service.features.corrections.job import EarlyCorrections
 from revisit.service.features.loops.rows import Change, add_loop
 from revisit.service.features.merging.calls import MergeMap
-from revisit.service.ports.map_merger import SurfaceAudit, SurfaceEvidence
 from tests.support.fake_merger import FakeMerger
 from tests.support.fleet_in_service import fleet_in, fleet_in_two
 from tests.support.service_world import TENANT, memory_world
@@ -26,12 +27,11 @@ class Walled(FakeMerger):
         self.alone = alone
         self.asked: list[tuple[set[int], set[int], int]] = []
 
-    def audit(self, first, second, read, scale, most, progress) -> SurfaceAudit:
+    def audit(self, first, second, read, scale, most, progress) -> MergeEvidence:
         """Nothing is read."""
         sides = set(first), set(second)
         self.asked.append((*sides, most))
-        evidence = SurfaceEvidence(5_000, 0.8, 0.02, 0.01, 0.2, ())
-        return SurfaceAudit(evidence, "FREE_SPACE_VIOLATED" if self.alone in sides else None)
+        return MergeEvidence(5_000, 0.02, 0.01, 0.2 if self.alone in sides else 0.001)
 
 
 def rows(world, name, **equals):

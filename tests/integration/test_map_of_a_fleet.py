@@ -7,7 +7,8 @@ import asyncio
 import pytest
 
 from revisit import Client
-from revisit.core.pose_graph import PoseGraph, Robustness, optimise
+from revisit.core.pose_graph.graph import PoseGraph
+from revisit.core.pose_graph.optimisation import Robustness, optimise
 from revisit.service.adapters.core_map_optimiser import CoreMapOptimiser
 from revisit.service.domain.identity import SessionKey
 from revisit.service.failpoints import FailpointReached, arm

@@ -8,7 +8,7 @@ import numpy as np
 
 from revisit.core.geometry import se3
 from revisit.core.geometry.se3 import pose_row, position_row
-from revisit.core.pose_graph import LoopEdge, PoseGraph
+from revisit.core.pose_graph.graph import LoopEdge, PoseGraph
 from revisit.service.domain.identity import SessionKey, TenantId
 from revisit.service.domain.records import LoopRecord, MapRecord, SessionRecord, SubmapRecord
 from revisit.service.domain.states import LoopEventKind

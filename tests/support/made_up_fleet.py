@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from revisit.core.geometry import se3
-from revisit.core.pose_graph import LoopEdge, Node, OdometryModel, PoseGraph, Trajectory
+from revisit.core.pose_graph.graph import LoopEdge, Node, OdometryModel, PoseGraph, Trajectory
 
 MODEL = OdometryModel()
 LOOP_COVARIANCE = np.diag([0.05**2] * 3 + [0.003**2] * 3)

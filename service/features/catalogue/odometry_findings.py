@@ -6,8 +6,9 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 
+from revisit.core.pose_graph.faults import OdometryFault
 from revisit.service.domain.records import SessionRecord
-from revisit.service.ports.map_optimiser import FAULTS, TrackFault
+from revisit.service.ports.map_optimiser import FAULTS
 from revisit.service.ports.transactions import UnitOfWork
 
 
@@ -39,12 +40,12 @@ def odometry_findings(uow: UnitOfWork, session: SessionRecord) -> Iterator[Sessi
     record = uow.maps.get(session.tenant, session.map_id)
     version = None if record is None else uow.map_versions.get(session.tenant, session.map_id, record.map_version)
     for fields in () if version is None else version.summary.get(FAULTS, ()):
-        fault = TrackFault(**fields)
-        if fault.session_number == session.number:
-            yield _finding(fault)
+        of_fault = dict(fields)
+        if of_fault.pop("session_number") == session.number:
+            yield _finding(OdometryFault(str(session.number), **of_fault))
 
 
-def _finding(fault: TrackFault) -> SessionFinding:
+def _finding(fault: OdometryFault) -> SessionFinding:
     did, unit, cause = (_AT_ONCE | _THROUGHOUT)[fault.kind]
     factor = {"m": 1.0, "degrees": 180.0 / math.pi, "%": 100.0}[unit]
     amount = f"{abs(factor * fault.amount):.2g} {unit} (standard deviation {factor * fault.sigma:.1g})"

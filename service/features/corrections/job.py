@@ -14,6 +14,7 @@ import numpy as np
 import structlog
 
 from revisit.core.geometry.se3 import Matrix4, pose_matrix, pose_row
+from revisit.core.pose_graph.graph import GraphState
 from revisit.service.domain.identity import TenantId
 from revisit.service.domain.policy import Policy
 from revisit.service.domain.records import (
@@ -22,7 +23,7 @@ from revisit.service.domain.records import (
     MapRecord,
     SessionPosesRecord,
 )
-from revisit.service.domain.states import GraphState, LoopState, OperationKind, OperationState
+from revisit.service.domain.states import LoopState, OperationKind, OperationState
 from revisit.service.features.graph.reading import MapTask, read_task, track_loop
 from revisit.service.features.graph.session_poses import PackedSubmaps
 from revisit.service.ports.clock import Clock

@@ -9,13 +9,14 @@ from functools import partial
 
 from revisit.core.errors import DataLoss
 from revisit.core.geometry.se3 import Matrix4
+from revisit.core.merge.evidence import MergeEvidence, MergeRefusal, surfaces_refusal
+from revisit.core.pose_graph.graph import GraphState
 from revisit.service.domain.identity import TenantId
-from revisit.service.domain.states import GraphState
 from revisit.service.features.graph.reading import MapTask
 from revisit.service.features.graph.session_poses import PackedSubmaps
 from revisit.service.ports.blobs import NEURAL_MAP_BLOB
 from revisit.service.ports.job_context import JobContext
-from revisit.service.ports.map_merger import MapMerger, SurfaceAudit
+from revisit.service.ports.map_merger import MapMerger
 from revisit.service.ports.map_optimiser import MapOptimiser, OptimisedMap, Progress, RefusedJoin
 
 VERSION_PAIRS = 100
@@ -85,6 +86,7 @@ class _Audit:
         self._merger = merger
         self._task = task
         self._progress = progress
+        self._scale = context.policy.for_map(task.map).scene_scale
         self._allowed: set[frozenset[Sessions]] = set()
 
     def refused(self, optimised: OptimisedMap) -> tuple[RefusedJoin, ...]:
@@ -98,29 +100,28 @@ class _Audit:
         for pair in joins.settled:
             _unite(groups, pair)
         most = self._pairs_each(len({*groups.values()}))
-        refused: dict[Sessions, SurfaceAudit] = {}
+        refused: dict[Sessions, tuple[MergeRefusal, MergeEvidence]] = {}
         for pair in joins.pairs:
             sides = _sides(groups, pair)
             if len(sides) == 1 or any(_sides(groups, known) == sides for known in refused):
                 continue
-            audit = None if sides in self._allowed else self._audit(optimised, sides, most)
-            if audit is None or audit.refusal is None:
+            found = None if sides in self._allowed else self._compared(optimised, sides, most)
+            reason = None if found is None else surfaces_refusal(found, self._merger.limits.scaled(self._scale))
+            if found is None or reason is None:
                 self._allowed.add(sides)
                 _unite(groups, pair)
             else:
-                refused[pair] = audit
-        found = {_sides(groups, pair): audit for pair, audit in refused.items()}
-        return tuple(_refused_join(self._task, sides, audit) for sides, audit in found.items())
+                refused[pair] = reason, found
+        why = {_sides(groups, pair): refusal for pair, refusal in refused.items()}
+        return tuple(_refused_join(self._task, sides, *refusal) for sides, refusal in why.items())
 
     def _pairs_each(self, groups: int) -> int:
         return max(LEAST_PAIRS, min(MOST_PAIRS, VERSION_PAIRS // max(groups - 1, 1)))
 
-    def _audit(self, optimised: OptimisedMap, sides: frozenset[Sessions], most: int) -> SurfaceAudit | None:
+    def _compared(self, optimised: OptimisedMap, sides: frozenset[Sessions], most: int) -> MergeEvidence | None:
         first, second = (_poses(self._task, optimised, side) for side in sorted(sides, key=min))
-        record = self._task.map
-        read = partial(self._read, TenantId(record.tenant))
-        scale = self._context.policy.for_map(record).scene_scale
-        return self._merger.audit(first, second, read, scale, most, self._progress)
+        read = partial(self._read, TenantId(self._task.map.tenant))
+        return self._merger.audit(first, second, read, self._scale, most, self._progress)
 
     def _read(self, tenant: TenantId, number: int) -> bytes:
         """The neural map of a submap. Raises DataLoss where it has none, or is gone."""
@@ -139,13 +140,11 @@ def loops_between(task: MapTask, joins: Iterable[RefusedJoin]) -> Iterator[tuple
                 yield number, join.reason
 
 
-def _refused_join(task: MapTask, sides: frozenset[Sessions], audit: SurfaceAudit) -> RefusedJoin:
+def _refused_join(
+    task: MapTask, sides: frozenset[Sessions], reason: MergeRefusal, evidence: MergeEvidence
+) -> RefusedJoin:
     one, other = sorted(sides, key=min)
-    found = audit.evidence
-    join = RefusedJoin(
-        tuple(sorted(one)), tuple(sorted(other)), str(audit.refusal), 0,
-        found.common_points, found.residual_m, found.seen_through_share,
-    )  # fmt: skip
+    join = RefusedJoin(tuple(sorted(one)), tuple(sorted(other)), reason, 0, evidence)
     return replace(join, loops=sum(1 for _ in loops_between(task, [join])))
 
 

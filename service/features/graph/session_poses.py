@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from revisit.core.geometry.se3 import Matrix4
+from revisit.core.pose_graph.graph import GraphState
 from revisit.service.domain.identity import SessionKey, TenantId
 from revisit.service.domain.records import MapVersionRecord
-from revisit.service.domain.states import GraphState
 from revisit.service.ports.map_optimiser import REFUSED_JOINS, JudgedLoop
 from revisit.service.ports.transactions import UnitOfWork
 

@@ -8,11 +8,12 @@ from functools import partial
 from typing import Any
 
 from revisit.core.geometry.se3 import Matrix4, pose_matrix
+from revisit.core.pose_graph.graph import GraphState
 from revisit.service.capacity.admission import Admission
 from revisit.service.domain.errors import NotFound
 from revisit.service.domain.identity import SessionKey, SubmapKey, TenantId
 from revisit.service.domain.records import LoopRecord
-from revisit.service.domain.states import GraphState, LoopState
+from revisit.service.domain.states import LoopState
 from revisit.service.features.graph.map_frames import LoopInMap, MapFrames
 from revisit.service.features.resources.paging import Lists, Page, PageRequest
 from revisit.service.features.waiting.event_tail import EventTail

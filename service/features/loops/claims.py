@@ -37,8 +37,9 @@ from revisit.core.pair_verdict import (
     RejectionReason,
     VerifiedLoop,
 )
+from revisit.core.pose_graph.graph import GraphState
 from revisit.service.domain.records import LoopRecord, SubmapRecord
-from revisit.service.domain.states import GraphState, LoopState
+from revisit.service.domain.states import LoopState
 from revisit.service.ports.transactions import UnitOfWork
 
 Evidence = dict[str, Any]

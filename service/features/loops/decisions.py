@@ -9,6 +9,7 @@ from typing import Any
 from revisit.core.errors import BadField
 from revisit.core.geometry import se3
 from revisit.core.geometry.se3 import Matrix4, pose_matrix, pose_row
+from revisit.core.pose_graph.graph import GraphState
 from revisit.service.capacity.admission import Admission
 from revisit.service.capacity.backlog import JobPosting
 from revisit.service.domain.callers import current_actor
@@ -16,23 +17,12 @@ from revisit.service.domain.errors import AlreadyExists, NotReady
 from revisit.service.domain.identity import SubmapKey, TenantId, content_hash, validated_note
 from revisit.service.domain.policy import Policy
 from revisit.service.domain.records import LoopEventRecord, LoopRecord, SubmapRecord
-from revisit.service.domain.states import (
-    GraphState,
-    LoopEventKind,
-    LoopState,
-    OperationKind,
-    SubmapState,
-)
+from revisit.service.domain.states import LoopEventKind, LoopState, OperationKind, SubmapState
 from revisit.service.features.audit import calls as audit
 from revisit.service.features.graph.edits import note_edit
 from revisit.service.features.graph.posting import optimise_soon
 from revisit.service.features.loops.calls import LoopClosureView, loop_seen, require_loop
-from revisit.service.features.loops.rows import (
-    Change,
-    add_loop,
-    before_last_decision,
-    change_loop,
-)
+from revisit.service.features.loops.rows import Change, add_loop, before_last_decision, change_loop
 from revisit.service.features.resources.paging import Lists, Page, PageRequest
 from revisit.service.features.resources.views import OperationView, operation_view
 from revisit.service.ports.clock import Clock

@@ -12,6 +12,7 @@ from revisit.core.config import PipelineConfig
 from revisit.core.errors import DataLoss
 from revisit.core.geometry import se3
 from revisit.core.geometry.se3 import Matrix4
+from revisit.core.merge.evidence import MergeEvidence, loops_refusal, surfaces_refusal
 from revisit.core.pair_verdict import PairVerdict, RejectedLoop, RejectionReason, VerifiedLoop
 from revisit.service.domain.errors import Unavailable
 from revisit.service.domain.identity import TenantId
@@ -31,7 +32,7 @@ from revisit.service.features.operations.progress import OperationCancelled, Pro
 from revisit.service.ports.blobs import NEURAL_MAP_BLOB, PLACE_BLOB
 from revisit.service.ports.job_context import JobContext
 from revisit.service.ports.job_queue import CANCELLED, Lease
-from revisit.service.ports.map_merger import AlignedMaps, MapMerger, SurfaceEvidence
+from revisit.service.ports.map_merger import AlignedMaps, MapMerger
 from revisit.service.ports.map_optimiser import MapOptimiser
 from revisit.service.ports.recogniser import PlaceRecogniser
 
@@ -85,7 +86,7 @@ class MapMerging:
         require_comparable(task.target.task.map, task.source.task.map)
         proposal = self._proposal(tenant, order, self._audited(task, progress), progress)
         failpoint("map_merge.after_evidence")
-        if order.validate_only or proposal.judgement.refusal is not None:
+        if order.validate_only or proposal.refusal is not None:
             self._context.complete(lease, proposal.report())
             return True
         progress("COMMIT")
@@ -108,16 +109,17 @@ class MapMerging:
         progress("ALIGN")
         sessions, scale = frozenset(task.source.sessions), config.scene_scale
         aligned = self._merger.align(task.graph(loops), sessions, spare, scale, progress)
-        surfaces = self._surfaces(tenant, task, aligned, config.scene_scale, progress)
-        judgement = self._merger.judge(aligned, surfaces, config.scene_scale)
-        return MergeProposal(order, task, crossing, numbers, aligned, surfaces, judgement)
+        limits, surfaces = self._merger.limits.scaled(scale), None
+        refusal = loops_refusal(aligned.joining, limits)
+        if refusal is None:
+            surfaces = self._surfaces(tenant, task, aligned, scale, progress)
+            refusal = surfaces_refusal(surfaces, limits)
+        return MergeProposal(order, task, crossing, numbers, aligned, surfaces, limits, refusal)
 
     def _surfaces(
         self, tenant: TenantId, task: MergeTask, aligned: AlignedMaps, scale: float, progress: Progress
-    ) -> SurfaceEvidence | None:
-        """The surfaces of both maps, where the loops say nothing against joining them."""
-        if self._merger.judge(aligned, None, scale).refusal is not None:
-            return None
+    ) -> MergeEvidence:
+        """The surfaces of both maps, each in the frame of the one that grows."""
         tracks, anchors = aligned.optimised.tracks, set(task.target.sessions)
         first, second = (placed_maps(side, tracks, anchors) for side in (task.target, task.source))
         read = partial(self._context.blobs.get, tenant, NEURAL_MAP_BLOB)

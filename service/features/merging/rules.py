@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from itertools import compress
 from typing import Any
 
@@ -13,19 +13,14 @@ from numpy.typing import NDArray
 
 from revisit.core.geometry import se3
 from revisit.core.geometry.se3 import Matrix4, pose_row
+from revisit.core.merge.evidence import ChangedThing, MergeEvidence, MergeLimits, MergeRefusal
 from revisit.core.pair_verdict import LoopMeasurement, PairVerdict, RejectedLoop, VerifiedLoop
 from revisit.service.domain.records import SubmapRecord
 from revisit.service.domain.states import MergeVerdict
 from revisit.service.features.graph.map_frames import frame_name
 from revisit.service.features.merging.reading import MapSide, MergeOrder, MergeTask
 from revisit.service.features.optimisation.rows import summary_of
-from revisit.service.ports.map_merger import (
-    AlignedMaps,
-    Judgement,
-    MapChange,
-    PlacedSubmapMap,
-    SurfaceEvidence,
-)
+from revisit.service.ports.map_merger import AlignedMaps, PlacedSubmapMap
 from revisit.service.ports.map_optimiser import OptimisedTrack, TrackLoop
 
 
@@ -46,31 +41,35 @@ class CrossingLoop:
 
 @dataclass(frozen=True)
 class MergeProposal:
-    """The findings: candidates with verdicts, the loops of `graph` among them by number, poses and surfaces."""
+    """The findings: candidates with verdicts, the loops of `graph` among them by number, poses and surfaces.
+
+    `refusal` is the first reason against, by `limits`; None where nothing speaks against it.
+    """
 
     order: MergeOrder
     task: MergeTask
     crossing: tuple[CrossingLoop, ...]
     numbers: dict[int, CrossingLoop]
     aligned: AlignedMaps
-    surfaces: SurfaceEvidence | None
-    judgement: Judgement
+    surfaces: MergeEvidence | None
+    limits: MergeLimits
+    refusal: MergeRefusal | None
 
     @property
     def verdict(self) -> MergeVerdict:
         """Before anything is committed."""
-        return MergeVerdict.REFUSED if self.judgement.refusal else MergeVerdict.MERGEABLE
+        return MergeVerdict.REFUSED if self.refusal else MergeVerdict.MERGEABLE
 
     def report(self) -> dict[str, Any]:
         """As JSON: verdict, alignment, evidence, changes."""
         return {
             "verdict": self.verdict.value,
-            "refusal": self.judgement.refusal,
+            "refusal": None if self.refusal is None else self.refusal.value,
             "source": self.order.source,
             "validate_only": self.order.validate_only,
             **self._alignment(),
             "evidence": self._evidence(),
-            "limits": self.judgement.limits,
+            "limits": asdict(self.limits),
             "would_change": self._would_change(),
             "changes": [_change(one) for one in self.surfaces.changes] if self.surfaces else [],
         }
@@ -102,9 +101,7 @@ class MergeProposal:
             "candidates": len(self.crossing),
             "verified": sum(one.measurement is not None for one in self.crossing),
             "rejected": dict(sorted(reasons.items())),
-            "loops": self.aligned.loops,
-            "common_track_m": self.aligned.common_track_m,
-            "rival_loops": self.aligned.rival_loops,
+            **asdict(self.aligned.joining),
         }
         if self.surfaces is None:
             return found
@@ -131,7 +128,7 @@ def _first_in_source(source: MapSide, first: OptimisedTrack) -> Matrix4 | None:
     return T_source_submap if np.isfinite(T_source_submap).all() else None
 
 
-def _change(change: MapChange) -> dict[str, Any]:
+def _change(change: ChangedThing) -> dict[str, Any]:
     return {
         "kind": change.kind.value,
         "centre_m": list(change.centre_m),

@@ -11,10 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from revisit.core.geometry.se3 import pose_row
+from revisit.core.pose_graph.faults import OdometryFault
+from revisit.core.pose_graph.graph import GraphState
 from revisit.service.domain.identity import SessionKey, TenantId
 from revisit.service.domain.policy import Policy
 from revisit.service.domain.records import LoopRecord, MapRecord, MapVersionRecord, SessionPosesRecord
-from revisit.service.domain.states import GraphState, LoopEventKind
+from revisit.service.domain.states import LoopEventKind
 from revisit.service.failpoints import failpoint
 from revisit.service.features.graph.map_frames import frame_name
 from revisit.service.features.graph.map_jobs import recall_loops
@@ -195,10 +197,15 @@ def summary_of(task: MapTask, tracks: Sequence[OptimisedTrack], optimised: Optim
         "degrees_of_freedom": optimised.degrees_of_freedom,
         "mean_change_m": float(changes.mean()) if len(changes) else None,
         "max_change_m": float(changes.max()) if len(changes) else None,
-        **({FAULTS: [asdict(fault) for fault in optimised.faults]} if optimised.faults else {}),
+        **({FAULTS: [_stored_fault(fault) for fault in optimised.faults]} if optimised.faults else {}),
         **({AUDITED: {str(one): count for one, count in optimised.audited.items()}} if optimised.audited else {}),
         **({REFUSED_JOINS: [_stored(task, one) for one in optimised.refused_joins]} if optimised.refused_joins else {}),
     }
+
+
+def _stored_fault(fault: OdometryFault) -> dict[str, Any]:
+    fields = asdict(fault)
+    return {"session_number": int(fields.pop("session")), **fields}
 
 
 def _stored(task: MapTask, join: RefusedJoin) -> dict[str, Any]:
@@ -208,14 +215,15 @@ def _stored(task: MapTask, join: RefusedJoin) -> dict[str, Any]:
     def names(numbers: Iterable[int]) -> list[str]:
         return [SessionKey(task.map.map_id, ids[number]).name for number in numbers]
 
-    measured = {"residual_m": join.residual_m} if np.isfinite(join.residual_m) else {}
+    found = join.evidence
+    measured = {"residual_m": found.residual_m} if np.isfinite(found.residual_m) else {}
     return {
         "sessions": names(join.sessions),
         "other_sessions": names(join.others),
-        "reason": join.reason,
+        "reason": join.reason.value,
         "loops": join.loops,
-        "common_points": join.common_points,
-        "seen_through_share": join.seen_through_share,
+        "common_points": found.common_points,
+        "seen_through_share": found.seen_through_share,
         **measured,
     }
 

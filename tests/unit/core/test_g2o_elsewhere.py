@@ -12,8 +12,9 @@ from scipy.sparse import lil_matrix
 from scipy.spatial.transform import Rotation
 
 from revisit.core.geometry import se3
-from revisit.core.pose_graph import LoopEdge, Node, PoseGraph, Robustness, Trajectory, optimise
 from revisit.core.pose_graph.g2o import write_g2o
+from revisit.core.pose_graph.graph import LoopEdge, Node, PoseGraph, Trajectory
+from revisit.core.pose_graph.optimisation import Robustness, optimise
 
 
 def test_an_independent_optimiser_finds_the_same_poses_in_a_written_graph() -> None:

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from revisit.core.geometry import se3
-from revisit.core.pose_graph import LoopEdge, LoopState, Node, PoseGraph, Trajectory, optimise
+from revisit.core.pose_graph.graph import GraphState, LoopEdge, Node, PoseGraph, Trajectory
 from revisit.core.pose_graph.heading_bias import MOST_RAD_PER_M, heading_bias
+from revisit.core.pose_graph.optimisation import optimise
 from revisit.core.pose_graph.support import loops_within
 from tests.support.made_up_fleet import LOOP_COVARIANCE
 
@@ -58,7 +59,7 @@ def test_a_heading_that_turns_steadily_costs_no_loop_and_no_metre(degrees_per_m:
     graph = PoseGraph.of([odometry], right_loops(poses))
     assert heading_bias(*of(graph)) == pytest.approx(bias, rel=0.02)
     answer = optimise(graph)
-    assert set(answer.loops) == {LoopState.IN_MAP}
+    assert set(answer.loops) == {GraphState.IN_MAP}
     apart = np.linalg.norm(answer.T_map_submap["one"][:, :3, 3] - poses[:, :3, 3], axis=1)
     assert apart.max() < 0.02 * np.linalg.norm(odometry.T_odom_submap[:, :3, 3] - poses[:, :3, 3], axis=1).max()
 
@@ -82,7 +83,7 @@ def test_wrong_loops_that_agree_are_no_bias(place: str) -> None:
     wrong = [loop(poses, number, number + BLOCK, WRONG[place]) for number in range(0, SUBMAPS - BLOCK, 2)]
     graph = PoseGraph.of([Trajectory.from_odometry("one", turned(poses, 0.0))], wrong)
     assert heading_bias(*of(graph)) == 0.0
-    assert LoopState.IN_MAP not in optimise(graph).loops
+    assert GraphState.IN_MAP not in optimise(graph).loops
 
 
 def test_wrong_loops_among_right_ones_are_no_bias_and_do_not_hide_one() -> None:
@@ -94,8 +95,8 @@ def test_wrong_loops_among_right_ones_are_no_bias_and_do_not_hide_one() -> None:
         graph = PoseGraph.of([Trajectory.from_odometry("one", turned(poses, bias))], right_loops(poses) + wrong)
         assert heading_bias(*of(graph)) == pytest.approx(bias, abs=2e-5)
         states = dict(zip((one.name for one in graph.loops), optimise(graph).loops, strict=True))
-        assert all(states[one.name] is LoopState.IN_MAP for one in right_loops(poses))
-        assert not any(states[one.name] is LoopState.IN_MAP for one in wrong)
+        assert all(states[one.name] is GraphState.IN_MAP for one in right_loops(poses))
+        assert not any(states[one.name] is GraphState.IN_MAP for one in wrong)
 
 
 def test_a_stretch_taken_for_another_has_one_vote_against_a_bias() -> None:
@@ -106,8 +107,8 @@ def test_a_stretch_taken_for_another_has_one_vote_against_a_bias() -> None:
     graph = PoseGraph.of([odometry], right + wrong)
     assert heading_bias(*of(graph)) == pytest.approx(bias, abs=2e-5)
     states = dict(zip((one.name for one in graph.loops), optimise(graph).loops, strict=True))
-    assert all(states[one.name] is LoopState.IN_MAP for one in right)
-    assert not any(states[one.name] is LoopState.IN_MAP for one in wrong)
+    assert all(states[one.name] is GraphState.IN_MAP for one in right)
+    assert not any(states[one.name] is GraphState.IN_MAP for one in wrong)
 
 
 def a_stretch_for_another(odometry: Trajectory, match: int, query: int, count: int) -> list[LoopEdge]:

@@ -9,10 +9,12 @@ import numpy as np
 import pytest
 
 from revisit.core.geometry import se3
-from revisit.core.merge import MergeLimits, MergeRefusal, loops_refusal, pairs_in_reach
 from revisit.core.merge.candidates import _standardised, joining_candidates
-from revisit.core.merge.joining import JoiningLoops
-from revisit.core.pose_graph import LoopEdge, PoseGraph, optimise
+from revisit.core.merge.evidence import JoiningLoops, MergeLimits, MergeRefusal, loops_refusal
+from revisit.core.merge.joining import joining_loops
+from revisit.core.merge.overlap import pairs_in_reach
+from revisit.core.pose_graph.graph import LoopEdge, PoseGraph
+from revisit.core.pose_graph.optimisation import optimise
 from tests.support.made_up_fleet import fleet
 
 SECOND = frozenset({"s1"})
@@ -31,35 +33,35 @@ def elsewhere(loop: LoopEdge, shift_m: float) -> LoopEdge:
 
 
 def test_loops_that_agree_join_and_span_the_common_track(made):
-    found = JoiningLoops.of(made.graph, optimise(made.graph), SECOND)
+    found = joining_loops(made.graph, optimise(made.graph), SECOND)
     assert (found.loops, found.rival_loops) == (12, 0)
     travelled = np.linalg.norm(np.diff(made.graph.by_session["s1"].T_odom_submap[:, :3, 3], axis=0), axis=1).sum()
     assert 0.3 * travelled < found.common_track_m < travelled
     assert found.common_track_m == round(found.common_track_m, 3)  # else two steps of 5 m may not reach a limit of 10 m
-    assert loops_refusal(found.loops, found.common_track_m, found.rival_loops) is None
+    assert loops_refusal(found) is None
 
 
 def test_loops_that_agree_on_another_alignment_compete(made):
     aliases = [elsewhere(loop, 40.0) for loop in made.graph.loops[:8]]
     graph = PoseGraph.of(list(made.graph.trajectories), [*made.graph.loops, *aliases])
-    found = JoiningLoops.of(graph, optimise(graph), SECOND)
+    found = joining_loops(graph, optimise(graph), SECOND)
     assert found.loops == 12 and found.rival_loops >= 6
-    assert loops_refusal(found.loops, found.common_track_m, found.rival_loops) is MergeRefusal.ALIGNMENTS_COMPETE
+    assert loops_refusal(found) is MergeRefusal.ALIGNMENTS_COMPETE
 
 
 def test_loops_that_only_measured_badly_are_no_rivals(made):
     worse = [elsewhere(loop, 1.0) for loop in made.graph.loops[:8]]
     graph = PoseGraph.of(list(made.graph.trajectories), [*made.graph.loops, *worse])
-    assert JoiningLoops.of(graph, optimise(graph), SECOND).rival_loops == 0
+    assert joining_loops(graph, optimise(graph), SECOND).rival_loops == 0
 
 
 def test_without_loops_nothing_joins(made):
     alone = dataclasses.replace(made.graph, loops=())
-    found = JoiningLoops.of(alone, optimise(alone), SECOND)
+    found = joining_loops(alone, optimise(alone), SECOND)
     assert found == JoiningLoops(0, 0.0, 0)
-    assert loops_refusal(0, 0.0, 0) is MergeRefusal.TOO_FEW_LOOPS
-    assert loops_refusal(5, 3.0, 0) is MergeRefusal.COMMON_TRACK_TOO_SHORT
-    assert loops_refusal(5, 3.0, 0, MergeLimits().scaled(0.25)) is None
+    assert loops_refusal(found) is MergeRefusal.TOO_FEW_LOOPS
+    assert loops_refusal(JoiningLoops(5, 3.0, 0)) is MergeRefusal.COMMON_TRACK_TOO_SHORT
+    assert loops_refusal(JoiningLoops(5, 3.0, 0), MergeLimits().scaled(0.25)) is None
 
 
 def test_the_preferred_session_gives_the_frame_and_the_poses_stay_the_same_to_each_other(made):

@@ -15,15 +15,10 @@ from revisit.core.config import ImplicitMapConfig, SurfaceConfig
 from revisit.core.errors import BadField, DescriptorModelMismatch
 from revisit.core.geometry import se3
 from revisit.core.implicit_map import DecoderWeights, NeuralMap, fit_implicit_map
-from revisit.core.merge import (
-    MergeEvidence,
-    MergeRefusal,
-    PlacedMap,
-    compare_surfaces,
-    merge_neural_maps,
-    refusal,
-)
-from revisit.core.merge.changes import Change, changes_between
+from revisit.core.merge.changes import changes_between
+from revisit.core.merge.evidence import ChangeKind, JoiningLoops, MergeRefusal, loops_refusal, surfaces_refusal
+from revisit.core.merge.fused import PlacedMap, merge_neural_maps
+from revisit.core.merge.overlap import compare_surfaces
 from revisit.core.model_bundle import load_packaged_models
 from revisit.core.profiles import Profile, profile_config, profile_models
 from revisit.core.submap import Submap
@@ -164,10 +159,10 @@ def test_surfaces_of_a_right_alignment_agree_and_those_of_a_wrong_one_do_not(pai
     right = compare_surfaces([first], [second])
     assert right.common_points > 5_000
     assert right.residual_m < 0.05
-    assert refusal(right, loops=5, common_track_m=30.0) is None
+    assert surfaces_refusal(right) is None
     for error in (se3.from_yaw(0.0, (3.0, 1.0, 0.0)), se3.from_yaw(np.pi, (0.0, 0.0, 0.0))):
         wrong = compare_surfaces([first], [PlacedMap(second.neural_map, error @ second.T_map_submap)])
-        assert refusal(wrong, loops=5, common_track_m=30.0) is not None, wrong
+        assert surfaces_refusal(wrong) is not None, wrong
 
 
 def test_groups_that_share_nothing_are_refused_for_their_overlap(pair):
@@ -175,7 +170,7 @@ def test_groups_that_share_nothing_are_refused_for_their_overlap(pair):
     apart = PlacedMap(second.neural_map, se3.from_yaw(0.0, (300.0, 0.0, 0.0)))
     evidence = compare_surfaces([first], [apart])
     assert evidence.common_points == 0
-    assert refusal(evidence, loops=5, common_track_m=30.0) is MergeRefusal.OVERLAP_TOO_SMALL
+    assert surfaces_refusal(evidence) is MergeRefusal.OVERLAP_TOO_SMALL
 
 
 @pytest.mark.parametrize(
@@ -188,8 +183,7 @@ def test_groups_that_share_nothing_are_refused_for_their_overlap(pair):
     ],
 )
 def test_too_little_evidence_is_named(loops, track_m, rivals, reason):
-    good = MergeEvidence(common_points=9_000, residual_m=0.03, far_share=0.01, seen_through_share=0.01)
-    assert refusal(good, loops, track_m, rivals) is reason
+    assert loops_refusal(JoiningLoops(loops, track_m, rivals)) is reason
 
 
 def test_a_box_of_one_day_alone_is_a_change(make_drive, shapes):
@@ -200,12 +194,12 @@ def test_a_box_of_one_day_alone_is_a_change(make_drive, shapes):
         for s in ([ground, wall], [ground, wall, car])
     )
     (gone,) = changes_between([(with_it, without)])
-    assert gone.kind == Change.VANISHED
+    assert gone.kind == ChangeKind.VANISHED
     low, high = (
         np.array(gone.centre_m) - np.array(gone.extent_m) / 2,
         np.array(gone.centre_m) + np.array(gone.extent_m) / 2,
     )
     assert (low[:2] > [1.5, 5.5]).all() and (high[:2] < [6.5, 8.5]).all()
     (new,) = changes_between([(without, with_it)])
-    assert (new.kind, new.points) == (Change.APPEARED, gone.points)
+    assert (new.kind, new.points) == (ChangeKind.APPEARED, gone.points)
     assert changes_between([(without, without)]) == []

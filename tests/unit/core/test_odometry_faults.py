@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 
 from revisit.core.geometry import se3
-from revisit.core.pose_graph import LoopEdge, LoopState, Node, OptimisedGraph, PoseGraph, Trajectory, optimise
 from revisit.core.pose_graph.faults import FaultKind
+from revisit.core.pose_graph.graph import GraphState, LoopEdge, Node, PoseGraph, Trajectory
+from revisit.core.pose_graph.optimisation import OptimisedGraph, optimise
 from tests.support.made_up_fleet import LOOP_COVARIANCE
 
 STEP_M = 5.0
@@ -89,7 +90,7 @@ def test_a_fault_of_odometry_is_named_and_costs_no_loop_and_no_metre(name: str) 
     poses = winding_way()
     graph = PoseGraph.of([odometry("a", poses, 1), odometry("b", poses, 2, wrong)], loops(poses))
     answer = optimise(graph)
-    assert set(answer.loops) == {LoopState.IN_MAP}
+    assert set(answer.loops) == {GraphState.IN_MAP}
     assert apart_m(answer) < 0.2
     assert answer.chi2 < answer.degrees_of_freedom
     (fault,) = answer.faults
@@ -110,7 +111,7 @@ def test_what_most_sessions_agree_on_is_believed_even_where_the_faulty_one_gives
     tracks = [odometry("a", poses, 1, scaled(1.06)), odometry("b", poses, 2), odometry("c", poses, 3)]
     between = [*loops(poses), *loops(poses, 8, "b", "c"), *loops(poses, 9, "a", "c")]
     answer = optimise(PoseGraph.of(tracks, between))
-    assert set(answer.loops) == {LoopState.IN_MAP}
+    assert set(answer.loops) == {GraphState.IN_MAP}
     assert [(one.session, one.kind) for one in answer.faults] == [("a", FaultKind.SCALE)]
     travelled = np.linalg.norm(np.diff(answer.T_map_submap["a"][:, :3, 3], axis=0), axis=1).sum()
     assert travelled == pytest.approx(STEP_M * (SUBMAPS - 1), rel=0.01)
@@ -123,7 +124,7 @@ def test_where_no_loop_tells_the_whole_stretch_is_unsure() -> None:
     slipping = odometry("b", poses, 2, lambda number, motion: scaled(0.5)(0, motion) if number in silent else motion)
     right = [one for one in loops(poses) if one.match.ordinal not in silent]
     answer = optimise(PoseGraph.of([odometry("a", poses, 1), slipping], right))
-    assert set(answer.loops) == {LoopState.IN_MAP}
+    assert set(answer.loops) == {GraphState.IN_MAP}
     (fault,) = answer.faults
     assert fault.first < AT - 1 and fault.last > AT
     inside = np.sqrt(answer.covariances[fault.session][AT, :3, :3].trace())
@@ -150,7 +151,7 @@ def test_a_place_taken_for_another_one_is_no_fault_and_not_in_the_map(stretch: r
     graph = PoseGraph.of([odometry("a", poses, 1), odometry("b", poses, 2)], misplaced(stretch, aside_m))
     answer = optimise(graph)
     assert answer.faults == ()
-    kept = {loop.name for loop, state in zip(graph.loops, answer.loops, strict=True) if state is LoopState.IN_MAP}
+    kept = {loop.name for loop, state in zip(graph.loops, answer.loops, strict=True) if state is GraphState.IN_MAP}
     assert not any(name.startswith("wrong") for name in kept)
 
 

@@ -14,23 +14,13 @@ from lab.pose_graphs.g2o_reading import read_g2o
 from lab.pose_graphs.wrong_loops import is_wrong, with_agreeing_loops
 from revisit.core.errors import BadField, MalformedBody
 from revisit.core.geometry import se3
-from revisit.core.pose_graph import (
-    LoopEdge,
-    LoopState,
-    Node,
-    PoseGraph,
-    Robustness,
-    Trajectory,
-    consistency,
-    independence,
-    loop_covariance,
-    optimisation,
-    optimise,
-)
+from revisit.core.pose_graph import consistency, independence, optimisation
 from revisit.core.pose_graph.consistency import agreement, consistent_sets, largest_clique, oriented
 from revisit.core.pose_graph.g2o import write_g2o
+from revisit.core.pose_graph.graph import GraphState, LoopEdge, Node, PoseGraph, Trajectory, loop_covariance
 from revisit.core.pose_graph.least_squares import INLIER, cauchy, graduated, huber, minimise, settled
 from revisit.core.pose_graph.normal_equations import Edges
+from revisit.core.pose_graph.optimisation import Robustness, optimise
 from revisit.core.pose_graph.support import STRETCH, LoopsWithin
 from revisit.core.pose_graph.variance_factor import Side, rescaled, squared_errors, variance_factor
 from revisit.evaluation.real_data import real_data
@@ -38,8 +28,8 @@ from tests.support.made_up_fleet import LOOP_COVARIANCE, MODEL, drifted, fleet, 
 from tests.support.real_data import needs_real_data
 
 
-def in_map(graph: PoseGraph, states: tuple[LoopState, ...]) -> list[str]:
-    return [loop.name for loop, state in zip(graph.loops, states, strict=True) if state is LoopState.IN_MAP]
+def in_map(graph: PoseGraph, states: tuple[GraphState, ...]) -> list[str]:
+    return [loop.name for loop, state in zip(graph.loops, states, strict=True) if state is GraphState.IN_MAP]
 
 
 @pytest.mark.parametrize("wrong_share", [0.0, 0.1, 0.5, 0.8])
@@ -66,16 +56,16 @@ def test_a_second_answer_is_sought_where_not_every_loop_fits(monkeypatch: pytest
     monkeypatch.setattr(optimisation, "_graduated", watched)
     fitting, spoilt = fleet(3, 0.0).graph, fleet(3, 0.5).graph
     answer = optimise(fitting, Robustness.COMMIT)
-    assert set(answer.loops) == {LoopState.IN_MAP} and answer.chi2 <= answer.degrees_of_freedom
+    assert set(answer.loops) == {GraphState.IN_MAP} and answer.chi2 <= answer.degrees_of_freedom
     assert not asked
     alone = optimise(fitting, Robustness.ONLINE)
     assert all(np.array_equal(answer.T_map_submap[name], poses) for name, poses in alone.T_map_submap.items())
-    assert LoopState.SET_ASIDE in optimise(spoilt, Robustness.COMMIT).loops
+    assert GraphState.SET_ASIDE in optimise(spoilt, Robustness.COMMIT).loops
     assert len(asked) == 1
     # loops that all lie within their gates, but err more than they state, may agree on something else
     unsure = replace(fitting, loops=tuple(replace(one, covariance=one.covariance / 5.0) for one in fitting.loops))
     worse = optimise(unsure, Robustness.COMMIT)
-    assert set(worse.loops) == {LoopState.IN_MAP} and worse.chi2 > worse.degrees_of_freedom
+    assert set(worse.loops) == {GraphState.IN_MAP} and worse.chi2 > worse.degrees_of_freedom
     assert len(asked) == 2
 
 
@@ -196,7 +186,7 @@ def test_sessions_that_nothing_joins_keep_frames_of_their_own() -> None:
     assert result.components == (("s0", "s1"), ("zz",))
     np.testing.assert_allclose(result.T_map_submap["zz"], alone.T_odom_submap, atol=1e-6)
     state = dict(zip((loop.name for loop in graph.loops), result.loops, strict=True))
-    assert state["single"] is LoopState.UNCONNECTED
+    assert state["single"] is GraphState.UNCONNECTED
 
 
 def test_the_correction_of_a_session_maps_its_last_odometry_pose_into_the_map() -> None:
@@ -341,7 +331,7 @@ def test_a_step_that_no_edge_states_lies_where_the_vertices_say_and_binds_nothin
     np.testing.assert_allclose(track.T_odom_submap[2], se3.from_yaw(1.5, (9.0, 5.0, 0.0)), atol=1e-9)
     assert [(one.match.ordinal, one.query.ordinal) for one in graph.loops] == [(0, 2), (1, 3)]
     answer = optimise(graph)
-    assert set(answer.loops) == {LoopState.IN_MAP}
+    assert set(answer.loops) == {GraphState.IN_MAP}
     placed = answer.T_map_submap["g2o"][:, :2, 3]
     np.testing.assert_allclose(placed, [(0, 0), (1, 0), (0, 2), (1, 2)], atol=1e-4)
 
@@ -445,7 +435,7 @@ def test_covariances_of_a_straight_drive_are_the_sums_of_its_steps() -> None:
 
 def test_chi2_of_right_loops_is_about_its_degrees_of_freedom() -> None:
     optimised = optimise(fleet(3, 0.0).graph)
-    kept = optimised.loops.count(LoopState.IN_MAP)
+    kept = optimised.loops.count(GraphState.IN_MAP)
     assert optimised.degrees_of_freedom == 6 * (kept - 3 + 1)
     assert 0.7 < optimised.chi2 / optimised.degrees_of_freedom < 1.3
 
@@ -485,7 +475,7 @@ def test_a_single_right_loop_that_nothing_supports_is_used() -> None:
     trajectory = Trajectory.from_odometry("s", drifted(truth, np.random.default_rng(2)))
     alone = _loop("alone", 0, 60, se3.inverse(truth[0]) @ truth[60])
     result = optimise(PoseGraph.of([trajectory], [alone]), Robustness.ONLINE)
-    assert result.loops == (LoopState.IN_MAP,)
+    assert result.loops == (GraphState.IN_MAP,)
 
 
 def test_a_loop_that_the_odometry_forbids_is_not_used_even_alone() -> None:
@@ -493,7 +483,7 @@ def test_a_loop_that_the_odometry_forbids_is_not_used_even_alone() -> None:
     trajectory = Trajectory.from_odometry("s", drifted(truth, np.random.default_rng(2)))
     apart = se3.inverse(truth[0]) @ truth[30]
     result = optimise(PoseGraph.of([trajectory], [_loop("alone", 0, 60, apart)]), Robustness.COMMIT)
-    assert result.loops == (LoopState.SET_ASIDE,)
+    assert result.loops == (GraphState.SET_ASIDE,)
 
 
 @pytest.mark.slow

@@ -10,7 +10,7 @@ from revisit.core.geometry import se3
 from revisit.core.geometry.tile_grid import TileGrid
 from revisit.core.implicit_map import NeuralMap
 from revisit.core.implicit_map.neural_points import NeuralPoints
-from revisit.core.merge import PlacedMap
+from revisit.core.merge.fused import PlacedMap
 from revisit.core.merge.tiles import distances_m, fuse_tile
 
 GRID = TileGrid.of(0.4, 1.0)

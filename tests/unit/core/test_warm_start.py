@@ -9,8 +9,9 @@ import pytest
 
 from lab.pose_graphs.one_loop import run
 from revisit.core.geometry import se3, se3_rows
-from revisit.core.pose_graph import LoopState, Node, PoseGraph, Robustness, SolvedComponent, Trajectory, optimise
-from revisit.core.pose_graph.warm_start import MOST_HELD
+from revisit.core.pose_graph.graph import GraphState, Node, PoseGraph, Trajectory
+from revisit.core.pose_graph.optimisation import Robustness, optimise
+from revisit.core.pose_graph.warm_start import MOST_HELD, SolvedComponent
 from tests.support.made_up_fleet import Fleet, fleet, random_motion
 
 LATER = 12
@@ -39,7 +40,7 @@ def farthest_m(solved: SolvedComponent, T_map_submap: dict[str, np.ndarray]) -> 
 def test_loops_one_by_one_give_the_poses_of_a_whole_new_optimisation(made: Fleet) -> None:
     solved = solved_without(made, MOST_HELD + 2)  # more than one factorisation carries
     for loop in made.graph.loops[-MOST_HELD - 2 :]:
-        assert solved.add(loop) is LoopState.IN_MAP
+        assert solved.add(loop) is GraphState.IN_MAP
     assert solved.carried == 2
     assert farthest_m(solved, optimise(made.graph, Robustness.PLAIN).T_map_submap) < 0.01
 
@@ -48,9 +49,9 @@ def test_a_wrong_loop_is_set_aside_and_moves_nothing(made: Fleet) -> None:
     solved, last = solved_without(made, 1), made.graph.loops[-1]
     before = {node: solved.T_map_submap(node) for node in (last.match, last.query)}
     wrong = replace(last, name="wrong", T_match_query=random_motion(np.random.default_rng(0)))
-    assert solved.add(wrong) is LoopState.SET_ASIDE
+    assert solved.add(wrong) is GraphState.SET_ASIDE
     assert all(np.array_equal(solved.T_map_submap(node), pose) for node, pose in before.items())
-    assert solved.add(last) is LoopState.IN_MAP
+    assert solved.add(last) is GraphState.IN_MAP
 
 
 def test_submaps_that_came_later_are_moved_by_loops_as_if_they_had_been_there(made: Fleet) -> None:
@@ -71,7 +72,7 @@ def test_submaps_that_came_later_are_moved_by_loops_as_if_they_had_been_there(ma
         T_step = se3.inverse(session.T_odom_submap[n]) @ session.T_odom_submap[n + 1]
         assert solved.append(session.session, T_step, session.step_covariances[n]) == Node(session.session, n + 1)
     for loop in late:
-        assert solved.add(loop) is LoopState.IN_MAP
+        assert solved.add(loop) is GraphState.IN_MAP
     whole = optimise(made.graph, Robustness.PLAIN).T_map_submap
     assert farthest_m(solved, whole) < 0.1
     solved.refresh()
@@ -103,6 +104,6 @@ def test_a_step_that_the_poses_have_mended_stays_mended(made: Fleet) -> None:
     graph = PoseGraph.of([replace(session, T_odom_submap=broken), *others], list(made.graph.loops[:-1]))
     poses = optimise(made.graph, Robustness.PLAIN).T_map_submap
     solved = SolvedComponent(graph, poses, range(len(graph.loops)), session.session)
-    assert solved.add(made.graph.loops[-1]) is LoopState.IN_MAP
+    assert solved.add(made.graph.loops[-1]) is GraphState.IN_MAP
     solved.refresh()
     assert farthest_m(solved, poses) < 0.1

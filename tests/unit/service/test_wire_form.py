@@ -12,13 +12,13 @@ from google.protobuf.json_format import MessageToDict, ParseDict
 from google.protobuf.struct_pb2 import Struct
 
 from revisit.core.geometry.se3 import pose_row
+from revisit.core.pose_graph.graph import GraphState
 from revisit.core.scan import CloudReport
 from revisit.sdk import json_answers
 from revisit.service.calls import catalogue, ingest, loops, mapping, operations, search
 from revisit.service.domain.identity import SessionKey, SubmapKey
 from revisit.service.domain.loop_policy import LoopPolicy
 from revisit.service.domain.states import (
-    GraphState,
     LoopState,
     OperationKind,
     OperationState,

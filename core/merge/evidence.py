@@ -1,0 +1,110 @@
+"""Evidence for and against joining two groups of sessions, the limits of it, and the reasons that follow."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from enum import StrEnum
+
+
+class MergeRefusal(StrEnum):
+    """Why two groups are not joined."""
+
+    TOO_FEW_LOOPS = "TOO_FEW_LOOPS"
+    COMMON_TRACK_TOO_SHORT = "COMMON_TRACK_TOO_SHORT"
+    ALIGNMENTS_COMPETE = "ALIGNMENTS_COMPETE"
+    OVERLAP_TOO_SMALL = "OVERLAP_TOO_SMALL"
+    SURFACES_DISAGREE = "SURFACES_DISAGREE"
+    FREE_SPACE_VIOLATED = "FREE_SPACE_VIOLATED"
+
+
+@dataclass(frozen=True)
+class MergeLimits:
+    """Thresholds of the evidence. Lengths in metres.
+
+    loops that agree; the way that they span; rival_share, how many loops a competing alignment may have compared with
+    the chosen one; the common points; the median distance of common points from the other's surface; the share of
+    points that may stand where the other looked through.
+    """
+
+    loops: int = 3
+    common_track_m: float = 10.0
+    rival_share: float = 0.25
+    common_points: int = 1_000
+    median_residual_m: float = 0.15
+    seen_through_share: float = 0.054
+
+    def scaled(self, scale: float) -> MergeLimits:
+        """The limits of a scene of another size: lengths times `scale`."""
+        return replace(
+            self, common_track_m=self.common_track_m * scale, median_residual_m=self.median_residual_m * scale
+        )
+
+
+class ChangeKind(StrEnum):
+    """Which day has it: the first one (it vanished) or the second (it appeared)."""
+
+    VANISHED = "VANISHED"
+    APPEARED = "APPEARED"
+
+
+@dataclass(frozen=True)
+class ChangedThing:
+    """A cluster of changed points: a box along the axes of the map around it, centre and extent in metres."""
+
+    kind: ChangeKind
+    centre_m: tuple[float, float, float]
+    extent_m: tuple[float, float, float]
+    points: int
+
+
+@dataclass(frozen=True)
+class MergeEvidence:
+    """The evidence for joining two placed groups.
+
+    common_points lie within a resolution of the other group's; residual_m is the median and far_share the share beyond
+    half a resolution of their distance from its surface; seen_through_share is the larger of both directions' shares of
+    points, among those near the other's submaps, that it looked through; overlap_share is that of common points among
+    the points of the submaps that were compared. changes: from the first group to the second, where they were sought.
+    """
+
+    common_points: int
+    residual_m: float
+    far_share: float
+    seen_through_share: float
+    overlap_share: float = 0.0
+    changes: tuple[ChangedThing, ...] = ()
+
+
+@dataclass(frozen=True)
+class JoiningLoops:
+    """The loops between two groups: how many the poses rest on, the way of the second group that they span, metres,
+    and how many agree on another alignment.
+    """
+
+    loops: int
+    common_track_m: float
+    rival_loops: int
+
+
+def loops_refusal(found: JoiningLoops, limits: MergeLimits = MergeLimits()) -> MergeRefusal | None:
+    """The first reason that the loops give against joining, None where there is none."""
+    reasons = (
+        (found.loops < limits.loops and found.rival_loops < limits.loops, MergeRefusal.TOO_FEW_LOOPS),
+        (
+            found.rival_loops >= limits.rival_share * found.loops and found.rival_loops > 1,
+            MergeRefusal.ALIGNMENTS_COMPETE,
+        ),
+        (found.loops < limits.loops, MergeRefusal.TOO_FEW_LOOPS),
+        (found.common_track_m < limits.common_track_m, MergeRefusal.COMMON_TRACK_TOO_SHORT),
+    )
+    return next((reason for holds, reason in reasons if holds), None)
+
+
+def surfaces_refusal(evidence: MergeEvidence, limits: MergeLimits = MergeLimits()) -> MergeRefusal | None:
+    """The first reason that the surfaces give against joining, None where there is none."""
+    reasons = (
+        (evidence.common_points < limits.common_points, MergeRefusal.OVERLAP_TOO_SMALL),
+        (evidence.residual_m > limits.median_residual_m, MergeRefusal.SURFACES_DISAGREE),
+        (evidence.seen_through_share > limits.seen_through_share, MergeRefusal.FREE_SPACE_VIOLATED),
+    )
+    return next((reason for holds, reason in reasons if holds), None)
