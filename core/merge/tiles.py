@@ -7,11 +7,13 @@ made with a margin around it, and a triangle belongs to the tile that its centre
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from revisit.core.codec.mesh import Mesh
+from revisit.core.codec.tile import EMPTY, FusedTile
 from revisit.core.config import SurfaceConfig
 from revisit.core.geometry import se3
 from revisit.core.geometry.tile_grid import TILE_VOXELS
@@ -25,29 +27,14 @@ MARGIN_VOXELS = 6
 """The margin that decides on a tile's surface: a voxel is meshed by neural points within less than three voxels."""
 
 
-@dataclass(frozen=True)
-class TileSurface:
-    """The fused surface of a tile, in metres from the middle of its square; z is that of the map's frame.
-
-    `neural_map` reaches a margin beyond the square; its level frame leads to the frame of the map. Mesh: vertices
-    (v, 3), unit normals (v, 3), faces (f, 3) int32, which meet those of the neighbours. Points: neural points (n, 3)
-    in the square with unit normals (n, 3).
-    """
-
-    neural_map: NeuralMap
-    vertices: Array
-    normals: Array
-    faces: NDArray[np.int32]
-    points: Array
-    point_normals: Array
-
-
 def fuse_tile(
     placed: Iterable[PlacedMap], centre_m: NDArray[np.float64], config: SurfaceConfig = SurfaceConfig()
-) -> TileSurface | None:
+) -> FusedTile | None:
     """The surface of the tile whose square has its middle at `centre_m` (3,) in the frame of the `placed` maps.
 
-    None where none of the maps has points there. Raises as `merge_neural_maps`.
+    Lengths are metres from that middle; z is that of the map's frame. The neural map reaches a margin beyond the
+    square, and its level frame leads to the frame of the map. The mesh meets those of the neighbours; the points are
+    the neural points in the square. None where none of the maps has points there. Raises as `merge_neural_maps`.
     """
     T_tile_map = se3.from_rotation_translation(np.eye(3), -centre_m)
     moved = (replace(one, T_map_submap=T_tile_map @ one.T_map_submap) for one in placed)
@@ -62,7 +49,8 @@ def fuse_tile(
     points, directions = fused.points.positions[inside], fused.points.normals[inside]
     factor, frame = np.float32(scale), replace(fused.frame, translation=centre_m)
     fused = replace(fused, frame=frame)
-    return TileSurface(fused, vertices * factor, normals, faces, points * factor, directions)
+    mesh, of_points = Mesh(vertices * factor, normals, faces), Mesh(points * factor, directions, EMPTY.faces)
+    return FusedTile(fused.to_blob(), mesh, of_points)
 
 
 def distances_m(neural_map: NeuralMap, points: NDArray[np.floating]) -> tuple[Array, Array]:

@@ -18,7 +18,7 @@ from revisit.service.ports.map_merger import AlignedMaps, DescribedPlaces, Place
 from revisit.service.ports.map_optimiser import MapGraph, Progress, TrackLoop
 
 if TYPE_CHECKING:
-    from revisit.core.implicit_map import DecoderWeights
+    from revisit.core.implicit_map import NeuralMap
     from revisit.core.merge.fused import PlacedMap
 
 REACH_M = 25.0
@@ -115,19 +115,11 @@ Key = TypeVar("Key", str, int)
 
 def _loader(read: Callable[[Key], bytes]) -> Callable[[Key, Matrix4], PlacedMap]:
     """What places a neural map; those of the last HELD_MAPS keys stay decoded."""
-    from revisit.core.config import ImplicitMapConfig
-    from revisit.core.implicit_map import NeuralMap
     from revisit.core.merge.fused import PlacedMap
+    from revisit.service.adapters.core_neural_maps import decoded
 
     @lru_cache(maxsize=HELD_MAPS)
     def neural_map(key: Key) -> NeuralMap:
-        return NeuralMap.from_blob(read(key), _decoder(), ImplicitMapConfig())
+        return decoded(read(key))
 
     return lambda key, T_map_submap: PlacedMap(neural_map(key), T_map_submap)
-
-
-@lru_cache(maxsize=1)
-def _decoder() -> DecoderWeights:
-    from revisit.core.model_bundle import load_packaged_models
-
-    return load_packaged_models().decoder

@@ -4,18 +4,16 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from collections.abc import Callable, Sequence
-from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from revisit.core.codec.mesh import Mesh
 from revisit.core.codec.tile import FusedTile
 from revisit.service.ports.map_merger import PlacedSubmapMap
 
 if TYPE_CHECKING:
-    from revisit.core.implicit_map import DecoderWeights, NeuralMap
+    from revisit.core.implicit_map import NeuralMap
 
 HELD_MAPS = 128
 """Neural maps that are kept decoded, 1 MB each: neighbouring tiles are made of the same."""
@@ -36,39 +34,24 @@ class CoreTileMaker:
         from revisit.core.merge.tiles import fuse_tile
 
         maps = (PlacedMap(self._neural_map(one.sha256, read), one.T_map_submap) for one in placed)
-        tile = fuse_tile(maps, centre_m)
-        if tile is None:
-            return None
-        points = Mesh(tile.points, tile.point_normals, np.zeros((0, 3), np.int32))
-        return FusedTile(tile.neural_map.to_blob(), Mesh(tile.vertices, tile.normals, tile.faces), points)
+        return fuse_tile(maps, centre_m)
 
     def distances_m(
         self, neural_map: bytes, points: NDArray[np.float64]
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """See `TileMaker`."""
         from revisit.core.merge.tiles import distances_m
+        from revisit.service.adapters.core_neural_maps import decoded
 
-        return distances_m(_decoded(neural_map), points)
+        return distances_m(decoded(neural_map), points)
 
     def _neural_map(self, sha256: str, read: Callable[[str], bytes]) -> NeuralMap:
         """A neural map by its hash, independent of the tenant."""
+        from revisit.service.adapters.core_neural_maps import decoded
+
         blob = read(sha256) if sha256 not in self._held else b""
-        found = self._held.pop(sha256, None) or _decoded(blob)
+        found = self._held.pop(sha256, None) or decoded(blob)
         self._held[sha256] = found
         while len(self._held) > HELD_MAPS:
             self._held.popitem(last=False)
         return found
-
-
-def _decoded(blob: bytes) -> NeuralMap:
-    from revisit.core.config import ImplicitMapConfig
-    from revisit.core.implicit_map import NeuralMap
-
-    return NeuralMap.from_blob(blob, _decoder(), ImplicitMapConfig())
-
-
-@lru_cache(maxsize=1)
-def _decoder() -> DecoderWeights:
-    from revisit.core.model_bundle import load_packaged_models
-
-    return load_packaged_models().decoder

@@ -93,7 +93,6 @@ class JudgedLoop:
 FAULTS = "odometry_faults"
 """Where the stored summary of a version keeps the faults of odometry, beside the fields of a MapVersionSummary."""
 
-
 AUDITED = "audited_submaps"
 """Where the stored summary of a version keeps `OptimisedMap.audited`."""
 

@@ -12,6 +12,7 @@ from revisit.core.implicit_map import NeuralMap
 from revisit.core.implicit_map.neural_points import NeuralPoints
 from revisit.core.merge.fused import PlacedMap
 from revisit.core.merge.tiles import distances_m, fuse_tile
+from revisit.core.model_bundle import load_packaged_models
 
 GRID = TileGrid.of(0.4, 1.0)
 SLOPE = 0.1
@@ -55,10 +56,10 @@ def test_the_surfaces_of_neighbours_meet_without_gap_or_overlap(floors):
     area = 0.0
     for cell in cells:
         tile = fuse_tile(floors, GRID.centre(cell))
-        world = tile.vertices.astype(np.float64) + GRID.centre(cell)
+        world = tile.mesh.vertices.astype(np.float64) + GRID.centre(cell)
         np.testing.assert_allclose(world[:, 2], SLOPE * world[:, 0], atol=0.02)
-        assert np.all(tile.normals[:, 2] > 0.9)
-        corners = world[tile.faces]
+        assert np.all(tile.mesh.normals[:, 2] > 0.9)
+        corners = world[tile.mesh.faces]
         seen_from_above = 0.5 * np.abs(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])[:, 2])
         area += seen_from_above[np.abs(corners.mean(axis=1)[:, :2]).max(axis=1) < 25.6].sum()
     assert area == pytest.approx(51.2**2, rel=0.01)
@@ -66,8 +67,9 @@ def test_the_surfaces_of_neighbours_meet_without_gap_or_overlap(floors):
 
 def test_distances_are_those_to_the_surface_in_the_frame_of_the_map(floors):
     tile = fuse_tile(floors, GRID.centre((0, 0)))
+    neural_map = NeuralMap.from_blob(tile.neural_map, load_packaged_models().decoder, ImplicitMapConfig())
     points = np.array([[10.0, 10.0, 1.3], [10.0, 10.0, 0.8], [20.0, 3.0, 30.0]])
-    distance, nearest = distances_m(tile.neural_map, points)
+    distance, nearest = distances_m(neural_map, points)
     upright = 1.0 / np.hypot(SLOPE, 1.0)
     np.testing.assert_allclose(distance[:2], [0.3 * upright, -0.2 * upright], atol=0.02)
     assert nearest[0] < 0.6 and np.isinf(nearest[2])
@@ -76,5 +78,5 @@ def test_distances_are_those_to_the_surface_in_the_frame_of_the_map(floors):
 def test_a_tile_that_nothing_reaches_is_none_and_order_plays_no_part(floors):
     assert fuse_tile(floors, GRID.centre((40, 0))) is None
     first, second = (fuse_tile(order, GRID.centre((0, 0))) for order in (floors, floors[::-1]))
-    assert len(first.points) == pytest.approx(len(second.points), rel=0.01)
-    np.testing.assert_allclose(first.vertices[:, 2].mean(), second.vertices[:, 2].mean(), atol=1e-3)
+    assert len(first.points.vertices) == pytest.approx(len(second.points.vertices), rel=0.01)
+    np.testing.assert_allclose(first.mesh.vertices[:, 2].mean(), second.mesh.vertices[:, 2].mean(), atol=1e-3)
