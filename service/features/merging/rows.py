@@ -222,12 +222,13 @@ class MergeCommit:
         graph = replace(target.graph, tracks=target.graph.tracks + tuple(tracks))
         loops = tuple(replace(one, number=_number(one.number, copies)) for one in optimised.loops)
         solved = tuple(_solved(track, copies) for track in optimised.tracks)
+        faults = tuple(replace(one, session=str(_session(int(one.session), copies))) for one in optimised.faults)
         task = replace(
             target, graph=graph, session_ids=target.session_ids + tuple(ids),
             loops=target.loops + tuple(copies.loops.values()),
         )  # fmt: skip
         refused = both.target.refused + tuple(_kept_apart(one, copies) for one in both.source.refused)
-        return task, replace(optimised, tracks=solved, loops=loops, refused_joins=refused)
+        return task, replace(optimised, tracks=solved, loops=loops, faults=faults, refused_joins=refused)
 
 
 def _number(loop: int, copies: _Copies) -> int:
@@ -239,8 +240,9 @@ def _kept_apart(join: RefusedJoin, copies: _Copies) -> RefusedJoin:
     return replace(join, sessions=sides[0], others=sides[1])
 
 
-def _solved(track: OptimisedTrack, copies: _Copies) -> OptimisedTrack:
-    def own(number: int) -> int:
-        return copies.sessions[number].number if number in copies.sessions else number
+def _session(number: int, copies: _Copies) -> int:
+    return copies.sessions[number].number if number in copies.sessions else number
 
-    return replace(track, session_number=own(track.session_number), anchor=own(track.anchor))
+
+def _solved(track: OptimisedTrack, copies: _Copies) -> OptimisedTrack:
+    return replace(track, session_number=_session(track.session_number, copies), anchor=_session(track.anchor, copies))
