@@ -30,7 +30,7 @@ from revisit.core.submap import Submap
 from revisit.core.surface import extract_surface
 from revisit.service.adapters.warmup import accompany, warm_up
 from revisit.service.large_blocks import return_free_memory
-from revisit.service.ports.recogniser import Redescription, SubmapDescription
+from revisit.service.ports.recogniser import SubmapDescription
 
 PLACES_READ = 96
 """Places that a worker keeps unpacked, the last ones it used: candidates come again with a robot's next submap, and a
@@ -80,11 +80,11 @@ class CoreRecogniser:
             timings_s=timings_s,
         )
 
-    def describe_again(self, neural_map: bytes, place: bytes | None, config: PipelineConfig) -> Redescription:
+    def describe_again(self, neural_map: bytes, place: bytes | None, config: PipelineConfig) -> SubmapDescription:
         """See `PlaceRecogniser`."""
         described = describe_again(self._neural_map(neural_map, config), self._models_of(config.profile), config)
         again = dataclasses.replace(described.place, scan_disagreement=_disagreement_of(place))
-        return Redescription(described.descriptor.vector, again.to_blob())
+        return SubmapDescription(described.descriptor.vector, again.to_blob())
 
     def mesh(self, neural_map: bytes, config: PipelineConfig) -> Mesh:
         """See `PlaceRecogniser`."""

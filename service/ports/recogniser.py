@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
@@ -19,25 +19,16 @@ from revisit.core.submap import Submap
 
 @dataclass(frozen=True)
 class SubmapDescription:
-    """A worker's description of a submap. `descriptor` (d,) float32, L2-normalised; blobs are versioned by `core`."""
+    """A worker's description of a submap: `descriptor` (d,) float32, L2-normalised, and blobs, versioned by `core`.
 
-    descriptor: NDArray[np.float32]
-    place: bytes
-    neural_map: bytes | None
-    flags: tuple[str, ...]
-    timings_s: dict[str, float]
-
-
-@dataclass(frozen=True)
-class Redescription:
-    """The description of a stored neural map: `descriptor` (d,) float32 and the blob of the place.
-
-    `neural_map` is the blob of a new one, where the stored one could not be used and scans were described instead.
+    `neural_map` is None where there is none, or where the stored one was described again.
     """
 
     descriptor: NDArray[np.float32]
     place: bytes
     neural_map: bytes | None = None
+    flags: tuple[str, ...] = ()
+    timings_s: dict[str, float] = field(default_factory=dict)
 
 
 class PlaceKeeper(Protocol):
@@ -66,7 +57,7 @@ class PlaceRecogniser(PlaceKeeper, Protocol):
         """
         ...
 
-    def describe_again(self, neural_map: bytes, place: bytes | None, config: PipelineConfig) -> Redescription:
+    def describe_again(self, neural_map: bytes, place: bytes | None, config: PipelineConfig) -> SubmapDescription:
         """This version's description of a submap from its stored neural map. Raises RevisitError where it cannot be
         made.
 

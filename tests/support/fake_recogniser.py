@@ -26,7 +26,7 @@ from revisit.core.geometry import se3
 from revisit.core.scan import Scan
 from revisit.core.submap import Submap
 from revisit.core.verification import PairVerdict
-from revisit.service.ports.recogniser import Redescription, SubmapDescription
+from revisit.service.ports.recogniser import SubmapDescription
 from tests.support.verdicts import rejected, verified
 
 KILLS_THE_WORKER = 666
@@ -111,12 +111,12 @@ class FakeRecogniser:
     def release(self) -> None:
         """See `PlaceRecogniser`; it keeps nothing."""
 
-    def describe_again(self, neural_map: bytes, place: bytes | None, config: PipelineConfig) -> Redescription:
+    def describe_again(self, neural_map: bytes, place: bytes | None, config: PipelineConfig) -> SubmapDescription:
         """The same descriptor, reversed: that of another model."""
         if not neural_map.startswith(b"neural "):
             raise DataLoss("not a neural map")
         descriptor = np.frombuffer(neural_map.removeprefix(b"neural "), dtype=np.float32)[::-1].copy()
-        return Redescription(descriptor, descriptor.tobytes())
+        return SubmapDescription(descriptor, descriptor.tobytes())
 
     def mesh(self, neural_map: bytes, config: PipelineConfig) -> Mesh:
         """One triangle."""

@@ -22,7 +22,7 @@ from revisit.service.domain.states import SubmapState
 from revisit.service.features.catalogue.maps import model_for_map
 from revisit.service.features.ingest.rows import load_submap, submap_source
 from revisit.service.ports.blobs import NEURAL_MAP_BLOB, PLACE_BLOB, BlobStore
-from revisit.service.ports.recogniser import PlaceRecogniser, Redescription
+from revisit.service.ports.recogniser import PlaceRecogniser, SubmapDescription
 from revisit.service.ports.storage import require_map
 from revisit.service.ports.transactions import Transactions, UnitOfWork
 
@@ -63,7 +63,7 @@ class _Renewed:
     """The result for one submap: a description, or the error."""
 
     submap: SubmapRecord
-    description: Redescription | None
+    description: SubmapDescription | None
     from_scans: bool = False
     error: RevisitError | None = None
 
@@ -143,9 +143,7 @@ class Reembedding:
         except RevisitError:
             source = self._transactions.read(lambda uow: submap_source(uow, self._policy, submap)).result()
             whole = self._recogniser.describe(load_submap(self._blobs, submap, source), config)
-            return _Renewed(
-                submap, Redescription(whole.descriptor, whole.place, whole.neural_map), from_scans=True
-            )  # fmt: skip
+            return _Renewed(submap, whole, from_scans=True)
 
     def _place_before(self, submap: SubmapRecord) -> bytes | None:
         """The place of the older model, with values that need the scans; None where it is gone."""
@@ -197,7 +195,7 @@ def _described(uow: UnitOfWork, record: MapRecord) -> list[SubmapRecord]:
     return uow.submaps.find(record.tenant, map_id=record.map_id, state=SubmapState.DESCRIBED.value)
 
 
-def _draft(described: Redescription) -> bytes:
+def _draft(described: SubmapDescription) -> bytes:
     descriptor = np.asarray(described.descriptor, dtype="<f4").tobytes()
     lengths = {
         "descriptor": len(descriptor),
@@ -207,7 +205,7 @@ def _draft(described: Redescription) -> bytes:
     return _DRAFT.pack(lengths, descriptor + described.place + (described.neural_map or b""))
 
 
-def _read_draft(data: bytes | None) -> Redescription | None:
+def _read_draft(data: bytes | None) -> SubmapDescription | None:
     """The stored draft; None where there is none or it was damaged."""
     if data is None:
         return None
@@ -217,4 +215,4 @@ def _read_draft(data: bytes | None) -> Redescription | None:
         return None
     start, end = header["descriptor"], header["descriptor"] + header["place"]
     neural_map = body[end:] if header["renewed"] else None
-    return Redescription(np.frombuffer(body[:start], dtype="<f4"), body[start:end], neural_map)
+    return SubmapDescription(np.frombuffer(body[:start], dtype="<f4"), body[start:end], neural_map)
