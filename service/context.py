@@ -10,7 +10,8 @@ from functools import cached_property
 from revisit.service.capacity.backlog import Backlog
 from revisit.service.capacity.byte_budget import ByteBudget
 from revisit.service.capacity.call_pace import CallPace
-from revisit.service.capacity.in_flight import DECODERS, InFlight
+from revisit.service.capacity.in_flight import InFlight
+from revisit.service.capacity.limits import DECODERS
 from revisit.service.capacity.storage_quota import StorageQuota
 from revisit.service.domain.policy import Policy
 from revisit.service.domain.states import OperationKind

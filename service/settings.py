@@ -11,8 +11,7 @@ from pydantic import Field
 
 from revisit.core.config import PipelineConfig
 from revisit.service.access_settings import AccessSettings
-from revisit.service.capacity.call_pace import PaceLimits
-from revisit.service.capacity.in_flight import CapacityLimits
+from revisit.service.capacity.limits import CapacityLimits, PaceLimits
 from revisit.service.domain import limits
 from revisit.service.domain.policy import Policy
 from revisit.service.features.upkeep.retention import ANSWERS_KEPT_S, EVENTS_KEPT

@@ -8,14 +8,11 @@ from contextlib import asynccontextmanager
 
 from revisit.service.capacity.backlog import Backlog
 from revisit.service.capacity.in_flight import InFlight
+from revisit.service.capacity.limits import CREATION_POINTS
 from revisit.service.capacity.storage_quota import StorageQuota
 from revisit.service.domain.errors import Draining, StorageFull
 from revisit.service.domain.identity import TenantId
 from revisit.service.ports.disk import DiskSpace
-
-CREATION_POINTS = 100_000
-"""Cost of a new map, session, robot or webhook: five times the 2 ms for which its commit holds the only writer, so
-that one key has a fifth of it (see docs/decisions/0172)."""
 
 
 class Admission:

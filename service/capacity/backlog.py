@@ -8,6 +8,7 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from revisit.service.capacity.in_flight import InFlight
+from revisit.service.capacity.limits import BACKLOG_RECOUNT_S, BACKLOG_RETRY_S
 from revisit.service.domain.errors import WorkersBusy
 from revisit.service.domain.identity import TenantId
 from revisit.service.domain.policy import Policy
@@ -17,12 +18,6 @@ from revisit.service.ports.clock import Clock
 from revisit.service.ports.storage import Storage
 from revisit.service.ports.tracing import current_request
 from revisit.service.ports.transactions import UnitOfWork
-
-QUEUE_RETRY_S = 5.0
-"""When to come back where the backlog is full."""
-
-RECOUNT_S = 0.05
-"""A backlog that seems full is counted again at most this often, so that refusing costs next to nothing."""
 
 
 class Backlog:
@@ -60,11 +55,11 @@ class Backlog:
 
     def _recounted_lately(self, tenant: TenantId) -> bool:
         recounted_s = self._recounted_s.get(tenant)
-        return recounted_s is not None and self._now_s() < recounted_s + RECOUNT_S
+        return recounted_s is not None and self._now_s() < recounted_s + BACKLOG_RECOUNT_S
 
     def _full(self) -> WorkersBusy:
         message = f"{self._most} jobs are waiting; try again later with the same id"
-        return WorkersBusy(message, retry_after_s=QUEUE_RETRY_S)
+        return WorkersBusy(message, retry_after_s=BACKLOG_RETRY_S)
 
 
 def _waiting(uow: UnitOfWork, tenant: TenantId) -> int:

@@ -7,21 +7,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 from revisit.service.capacity.budget import Budget
+from revisit.service.capacity.limits import BYTES_IN_FLIGHT, BYTES_PATIENCE_S, BYTES_RETRY_S, TENANT_SHARE
 from revisit.service.domain.errors import WorkersBusy
 from revisit.service.domain.identity import TenantId
-
-MIB = 2**20
-
-BUDGET_BYTES = 112 * MIB
-"""With the process's own memory and the peak of decoding it stays below 768 MiB."""
-
-TENANT_SHARE = 0.75
-
-PATIENCE_S = 5.0
-"""For so long a message or a file waits, unread and unmade, for others to be done."""
-
-RETRY_S = 2.0
-"""When to come back where there is no room."""
 
 
 class HeldBytes:
@@ -50,7 +38,7 @@ class HeldBytes:
 class ByteBudget:
     """Counts the bytes that are held, in all and by tenant. All calls come from the event loop."""
 
-    def __init__(self, most_bytes: int = BUDGET_BYTES, patience_s: float = PATIENCE_S) -> None:
+    def __init__(self, most_bytes: int = BYTES_IN_FLIGHT, patience_s: float = BYTES_PATIENCE_S) -> None:
         """At most `most_bytes` in all, of which a tenant has `TENANT_SHARE`."""
         self._most = most_bytes
         self._patience_s = patience_s
@@ -92,4 +80,4 @@ class ByteBudget:
 
 
 def _full() -> WorkersBusy:
-    return WorkersBusy("too many bytes are in flight; try again later with the same id", retry_after_s=RETRY_S)
+    return WorkersBusy("too many bytes are in flight; try again later with the same id", retry_after_s=BYTES_RETRY_S)

@@ -13,44 +13,17 @@ from dataclasses import dataclass
 from functools import partial
 
 from revisit.service.capacity.budget import Rate, RateBudget, Remembered, wait_while
+from revisit.service.capacity.limits import (
+    CALL_POLL_S,
+    CALL_POLLS,
+    JSON_BYTES_A_CALL,
+    MOST_CALLS_A_BODY,
+    REFUSED_FOR_S,
+    UNREAD_BYTES_A_CALL,
+    PaceLimits,
+)
 from revisit.service.domain.errors import RateLimited
 from revisit.service.domain.identity import TenantId
-
-UNREAD_BYTES_A_CALL = 64 * 2**10
-"""So many bytes of a body that was refused unread take about as long to throw away as a call takes to refuse."""
-
-JSON_BYTES_A_CALL = 16 * 2**10
-"""So many bytes of JSON take about as long to read as a call takes without them."""
-
-MOST_CALLS_A_BODY = 20
-
-REFUSED_FOR_S = 1.0
-"""For so long after a client was refused for its rate, its calls come at the pace of `over_rate_calls_per_s`."""
-
-POLL_S, POLLS = 0.004, 6
-"""So often, and for so long, such a call looks whether clouds of other tenants are stored just now: they go first."""
-
-
-@dataclass(frozen=True)
-class PaceLimits:
-    """Calls that begin, a second and in all. The first `burst` of calls that come together wait for nothing."""
-
-    client_calls_per_s: float = 300.0
-    """About a quarter of one core."""
-    tenant_calls_per_s: float = 450.0
-    over_rate_calls_per_s: float = 110.0
-    """Of a client that sends more than its rate limit takes: ten times the large clouds that a service takes."""
-    refusals_per_s: float = 100.0
-    """Of one address, to callers that nobody knows."""
-    public_calls_per_s: float = 100.0
-    """Of one address, without a credential; health is told beyond them."""
-    burst: int = 20
-    """Together they hold up the event loop for about 20 ms; as many of one address are refused at once."""
-    most_wait_s: float = 3.0
-    waiting: int = 640
-    """Calls of all callers that wait; each holds a request or a call, but no slot yet."""
-    unauthenticated_waiting: int = 160
-    """As `waiting`, of callers that nobody knows: they keep no one else from waiting."""
 
 
 @dataclass
@@ -95,7 +68,7 @@ class CallPace:
             await self._wait(self._callers, *rates)
             return
         await self._wait(self._callers, *rates, self._rate(over_rate, self._limits.over_rate_calls_per_s))
-        await wait_while(partial(self._others_wait, tenant), POLL_S, POLLS, self._sleep)
+        await wait_while(partial(self._others_wait, tenant), CALL_POLL_S, CALL_POLLS, self._sleep)
 
     def note_refused(self, tenant: TenantId, client: str) -> None:
         """The client was told to come back later: if it does not wait by itself, it waits here."""

@@ -10,26 +10,10 @@ import asyncio
 from collections.abc import Awaitable, Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
-from revisit.service.capacity.slots import Share, Slots
-
-
-@dataclass(frozen=True)
-class CallLimits:
-    """Calls of admitted callers that are open at the same time, by kind."""
-
-    calls: Share = Share("calls", 320, 240, 160)
-    waits: Share = Share("waits", 384, 256, 128)
-    """Calls that wait for an operation, for submaps, for a tile, or for a worker's answer."""
-    watches: Share = Share("watches", 128, 64, 32)
-    streams: Share = Share("streams", 320, 256, 64)
-    """Calls of any kind, also before their kind is known; `CapacityLimits` bounds each kind."""
-
-    @property
-    def total(self) -> int:
-        """All together."""
-        return sum(getattr(self, kind.name).most for kind in fields(self))
+from revisit.service.capacity.limits import CallLimits
+from revisit.service.capacity.slots import Slots
 
 
 class CallSlots:

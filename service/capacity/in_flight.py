@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import asyncio
 import math
-import os
 import time
 from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
 from contextlib import asynccontextmanager, contextmanager
@@ -18,48 +17,19 @@ from itertools import islice
 
 from revisit.core.errors import RevisitError
 from revisit.service.capacity.budget import Budget, Held, Rate, RateBudget, Remembered, wait_while
+from revisit.service.capacity.limits import (
+    BESIDE_OTHERS,
+    CALL_POINTS,
+    CLOUD_POLL_S,
+    CLOUD_POLLS,
+    DECODERS,
+    OTHERS_S,
+    OVERLOAD_S,
+    SLOT_RETRY_S,
+    CapacityLimits,
+)
 from revisit.service.domain.errors import RateLimited, WorkersBusy
 from revisit.service.domain.identity import TenantId
-
-CALL_POINTS = 1_000
-"""Charge of a request beside its points."""
-
-POINTS_PER_S = 10_000_000
-"""Points a second of a core: a point is a tenth of a microsecond."""
-
-BUSY_RETRY_S = 1.0
-"""When to come back where all slots are taken."""
-
-DECODERS = max(2, os.cpu_count() or 2)
-"""Threads that decode clouds. More threads than cores would only slow the event loop down."""
-
-OVERLOAD_S = 10.0
-"""For so long after a refusal, a tenant may have no more undecoded clouds than there are `DECODERS`: under lasting
-overload a waiting line would only add to the latency of each request."""
-
-BESIDE_OTHERS = 3
-"""Clouds that a tenant has under way at a time where another has sent one within `OTHERS_S`. They take turns anyway at
-the interpreter and the writer; more of them only make the others' wait longer."""
-
-OTHERS_S = 5.0
-POLL_S, POLLS = 0.005, 10
-"""A further cloud of the tenant looks so often, and goes on in any case afterwards."""
-
-
-@dataclass(frozen=True)
-class CapacityLimits:
-    """The limits of an installation. Rates are points a second, averaged over `burst_s`."""
-
-    points_per_s: float = 40e6
-    tenant_points_per_s: float = 20e6
-    client_points_per_s: float = 10e6
-    burst_s: float = 10.0
-    clouds: int = 4 * DECODERS
-    """Clouds in flight: received and not yet stored."""
-    tenant_share: float = 0.75
-    """The share of those that one tenant may have."""
-    streams: int = 256
-    client_streams: int = 8
 
 
 @dataclass(eq=False)
@@ -137,7 +107,7 @@ class InFlight:
         if not self._has_slot(tenant, 1):
             self.note_overload(tenant)
             message = f"{self.clouds} clouds are in flight; try again with the same id"
-            raise WorkersBusy(message, retry_after_s=BUSY_RETRY_S)
+            raise WorkersBusy(message, retry_after_s=SLOT_RETRY_S)
 
     @asynccontextmanager
     async def reserve_cloud(
@@ -182,7 +152,7 @@ class InFlight:
         key, more = (tenant, self._client()), int(replaces)
         own, overall = self._streams[key], self.streams
         if own >= self.limits.client_streams + more or overall >= self.limits.streams + more:
-            raise RateLimited(f"{own} streams of this client and {overall} in all are open", retry_after_s=BUSY_RETRY_S)
+            raise RateLimited(f"{own} streams of this client and {overall} in all are open", retry_after_s=SLOT_RETRY_S)
         self._streams.add(key, 1)
         try:
             yield
@@ -195,7 +165,7 @@ class InFlight:
         def crowded() -> bool:
             return self.clouds_of(tenant) >= BESIDE_OTHERS and self._beside_others(tenant)
 
-        await wait_while(crowded, POLL_S, POLLS, self._sleep)
+        await wait_while(crowded, CLOUD_POLL_S, CLOUD_POLLS, self._sleep)
 
     def _beside_others(self, tenant: TenantId) -> bool:
         """Whether another tenant has sent a cloud of late."""

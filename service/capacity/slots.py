@@ -2,43 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 from revisit.service.capacity.budget import Held
+from revisit.service.capacity.limits import SLOT_RETRY_S, Share
 from revisit.service.domain.errors import RateLimited
-
-KEPT = 8
-"""One slot in so many is kept."""
-
-RETRY_S = 1.0
-"""When to come back where no slot is free."""
-
-
-@dataclass(frozen=True)
-class Share:
-    """The slots of one kind: `most` in all, `group` of them for one group that is alone, `holder` for one holder.
-
-    A group is a tenant and its holders are clients; of calls without a credential, an address and its connections.
-    """
-
-    what: str
-    most: int
-    group: int
-    holder: int
-    names: tuple[str, str] = ("tenant", "client")
-
-    def beside(self, others: int) -> int:
-        """Slots that one group may hold beside `others` of other groups: its share of the rest.
-
-        The last ones are kept for groups that hold none, one for each.
-        """
-        left = min(self.group * (self.most - others) // self.most, self.most - self.kept - others)
-        return max(left, 1 if others < self.most else 0)
-
-    @property
-    def kept(self) -> int:
-        """Slots that are kept for groups that hold none."""
-        return self.most // KEPT
 
 
 class Slots:
@@ -79,4 +45,4 @@ class Slots:
 
 
 def _none_free(held: str) -> RateLimited:
-    return RateLimited(f"{held} are open; close one first", retry_after_s=RETRY_S)
+    return RateLimited(f"{held} are open; close one first", retry_after_s=SLOT_RETRY_S)

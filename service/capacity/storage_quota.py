@@ -10,18 +10,11 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 
+from revisit.service.capacity.limits import POINT_BYTES, QUOTA_RECOUNT_S, QUOTA_RETRY_S
 from revisit.service.domain.errors import QuotaReached
 from revisit.service.domain.identity import TenantId
 from revisit.service.ports.storage import Storage
 from revisit.service.ports.transactions import UnitOfWork
-
-POINT_BYTES = 12
-"""Three numbers of 32 bits."""
-
-RECOUNT_S = 1.0
-
-FREED_S = 60.0
-"""When to come back where the quota is reached: somebody must delete something first."""
 
 
 class StorageQuota:
@@ -37,12 +30,12 @@ class StorageQuota:
 
     async def require_room(self, tenant: TenantId) -> None:
         """Raises QuotaReached."""
-        if self._reached(tenant) and self._now_s() >= self._counted_s.get(tenant, 0.0) + RECOUNT_S:
+        if self._reached(tenant) and self._now_s() >= self._counted_s.get(tenant, 0.0) + QUOTA_RECOUNT_S:
             self._counted_s[tenant] = self._now_s()
             self._stored[tenant] = POINT_BYTES * await self._storage.read(lambda uow: _points(uow, tenant))
         if self._reached(tenant):
             message = f"the tenant's clouds take {self._most_bytes >> 20} MiB or more, which is all it may store"
-            raise QuotaReached(message, retry_after_s=FREED_S)
+            raise QuotaReached(message, retry_after_s=QUOTA_RETRY_S)
 
     def note(self, tenant: TenantId, points: int) -> None:
         """So many points more are being stored."""

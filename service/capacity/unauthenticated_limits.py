@@ -12,25 +12,17 @@ import itertools
 import secrets
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
 from enum import StrEnum
 from functools import lru_cache
 
 from revisit.service.capacity.budget import MOST_HOLDERS, Rate, RateBudget, Remembered
-
-UNAUTHENTICATED_PER_ADDRESS = 256
-"""Of one address at the same time. Behind one address may be a fleet or a proxy, and its connections stay
-unauthenticated for some milliseconds; half the bound of the HTTP side.
-"""
-
-NETWORK_BITS = 64
-"""Of an IPv6 address: the holder of one has all that begin alike."""
-
-NETWORK_BITS_OF_IPV4 = 24
-"""Addresses that begin alike have a pace together, too."""
-
-KNOWN_S = 600.0
-"""For so long after a call a credential is known."""
+from revisit.service.capacity.limits import (
+    KNOWN_S,
+    NETWORK_BITS_IPV4,
+    NETWORK_BITS_IPV6,
+    UNAUTHENTICATED_PER_ADDRESS,
+    ArrivalRates,
+)
 
 Leave = Callable[[], None]
 """Ends a connection."""
@@ -44,25 +36,6 @@ class Shown(StrEnum):
     """It asks whether the service is ready."""
     UNKNOWN = "unknown"
     """A credential that is not known, or nothing that can be read."""
-
-
-@dataclass(frozen=True)
-class ArrivalRates:
-    """Connections that may begin a second, and `burst_s` times as many at once.
-
-    Authenticated ones do not count: a fleet behind one address, with keys, never comes near.
-    """
-
-    anonymous_per_s: float = 30.0
-    """Of one address, that show no credential."""
-    unknown_per_s: float = 100.0
-    """Of one address, that show a credential which is not known, or that are encrypted, so that nothing can be seen."""
-    network_times: float = 1.5
-    """So many times as many of a /24 or a /64."""
-    all_times: float = 2.0
-    client_per_s: float = 100.0
-    """Of one credential, which do not count for its address."""
-    burst_s: float = 2.0
 
 
 class UnauthenticatedLimits:
@@ -160,7 +133,7 @@ def holder_of(address: str) -> str:
         return address
     if known.ipv4_mapped is not None:
         return str(known.ipv4_mapped)
-    return str(ipaddress.ip_network((known, NETWORK_BITS), strict=False))
+    return str(ipaddress.ip_network((known, NETWORK_BITS_IPV6), strict=False))
 
 
 @lru_cache(MOST_HOLDERS)
@@ -168,6 +141,6 @@ def network_of(address: str) -> str:
     """The network that an address is in: a /24, or the /64 of an IPv6 address."""
     holder = holder_of(address)
     try:
-        return str(ipaddress.ip_network((ipaddress.IPv4Address(holder), NETWORK_BITS_OF_IPV4), strict=False))
+        return str(ipaddress.ip_network((ipaddress.IPv4Address(holder), NETWORK_BITS_IPV4), strict=False))
     except ValueError:
         return holder

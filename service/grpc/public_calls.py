@@ -6,24 +6,19 @@ import asyncio
 from collections.abc import AsyncIterator, Iterator
 from contextlib import asynccontextmanager, contextmanager
 
-from revisit.service.capacity.slots import Share, Slots
+from revisit.service.capacity.limits import PUBLIC_CALLS_WAITING, PUBLIC_WATCHES
+from revisit.service.capacity.slots import Slots
 from revisit.service.capacity.unauthenticated_limits import UnauthenticatedLimits, holder_of
 from revisit.service.domain.errors import DeadlineExceeded
 from revisit.service.grpc.unauthenticated_connections import endpoint_of
-
-WATCHES = Share("watches without a credential", 64, 48, 8, ("address", "connection"))
-
-WAITING_CALLS = 64
-"""Calls of one address without a message yet: one more replaces the oldest. So health is never behind
-calls that only begin."""
 
 
 class PublicCalls:
     """The slots of public calls of one server."""
 
     def __init__(self) -> None:
-        self._watches = Slots(WATCHES)
-        self._waiting = UnauthenticatedLimits(WAITING_CALLS)
+        self._watches = Slots(PUBLIC_WATCHES)
+        self._waiting = UnauthenticatedLimits(PUBLIC_CALLS_WAITING)
 
     @contextmanager
     def watch(self, peer: str) -> Iterator[None]:

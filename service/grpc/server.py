@@ -7,7 +7,8 @@ from grpc_health.v1 import health_pb2, health_pb2_grpc
 from grpc_reflection.v1alpha import reflection
 
 from revisit.api.calls import CALLS
-from revisit.service.capacity.call_slots import CallLimits, CallSlots
+from revisit.service.capacity.call_slots import CallSlots
+from revisit.service.capacity.limits import CallLimits
 from revisit.service.grpc.access import Gate
 from revisit.service.grpc.errors import LARGEST_MESSAGE_BYTES, ErrorInterceptor
 from revisit.service.grpc.handlers import handlers_of, services_of

@@ -17,7 +17,8 @@ from pathlib import Path
 from typing import NamedTuple
 from urllib.parse import unquote
 
-from revisit.service.capacity.unauthenticated_limits import UNAUTHENTICATED_PER_ADDRESS, holder_of
+from revisit.service.capacity.limits import UNAUTHENTICATED_PER_ADDRESS
+from revisit.service.capacity.unauthenticated_limits import holder_of
 
 POLL_S = 1.0
 """How often the connections are looked up."""

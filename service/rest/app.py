@@ -8,11 +8,11 @@ from fastapi import FastAPI
 
 from revisit.service.capacity.call_slots import CallSlots
 from revisit.service.capacity.in_flight import Turns
+from revisit.service.capacity.limits import LONG_BODIES_AT_A_TIME
 from revisit.service.metrics import RequestMetrics
 from revisit.service.ports.tracing import NoTracer, Tracer
 from revisit.service.rest.access import describe_access, require_declared_scopes
 from revisit.service.rest.answers import describe_answers
-from revisit.service.rest.bodies import LONG_BODIES_AT_A_TIME
 from revisit.service.rest.errors import PROBLEM_JSON, install_error_handlers
 from revisit.service.rest.limits import HttpLimits
 from revisit.service.rest.middleware import (

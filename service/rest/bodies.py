@@ -16,6 +16,7 @@ from revisit.core.errors import BadField, MalformedBody, TooLarge, UnsupportedEn
 from revisit.formats import MEDIA_TYPES
 from revisit.service.capacity.admission import Admission
 from revisit.service.capacity.in_flight import Turns
+from revisit.service.capacity.limits import JSON_POINTS_A_BYTE
 from revisit.service.domain.callers import current_tenant
 from revisit.service.features.ingest.clouds import EncodedCloud
 from revisit.service.rest.errors import bad_field
@@ -25,12 +26,7 @@ from revisit.service.rest.schemas import Request as Body
 SHORT_JSON_BYTES = 16 * 2**10
 """A longer body waits for its turn, one of each tenant at a time, and is parsed beside the event loop."""
 
-LONG_BODIES_AT_A_TIME = 16
-
 SchemaT = TypeVar("SchemaT", bound=Body)
-
-JSON_POINTS_A_BYTE = 0.65
-"""Cost of a byte of JSON: five times the 13 ns for which reading it holds the interpreter (docs/decisions/0172)."""
 
 # Ends with the text where a string does not, and gives nothing back: else one without an end is tried at each quote.
 _STRING = re.compile(r'"(?:[^"\\]++|\\.)*+"?', re.DOTALL)

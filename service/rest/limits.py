@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from revisit.service.capacity.call_slots import CallLimits
-from revisit.service.capacity.slots import Share
+from revisit.service.capacity.limits import CallLimits, Share
 
 MIB = 2**20
 

@@ -366,7 +366,7 @@ SABOTAGES = (
     ),
     Sabotage(
         "two tenants may hold all that there is",
-        {f"{SERVICE}capacity.slots:Share.beside": lambda _beside: lambda share, others: share.most - others},
+        {f"{SERVICE}capacity.limits:Share.beside": lambda _beside: lambda share, others: share.most - others},
         f"{WAITS}test_two_tenants_that_wait_as_often_as_they_can_keep_no_third_one_out[grpc]",
     ),
     Sabotage(

@@ -13,7 +13,8 @@ import pytest
 
 from revisit.core.errors import MalformedBody, UnsupportedEncoding
 from revisit.formats import PLY
-from revisit.service.capacity.in_flight import CapacityLimits, InFlight
+from revisit.service.capacity.in_flight import InFlight
+from revisit.service.capacity.limits import CapacityLimits
 from revisit.service.domain.errors import NotFound, RateLimited
 from revisit.service.features.catalogue import downloads
 from revisit.service.features.catalogue.downloads import DownloadKind

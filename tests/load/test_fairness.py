@@ -14,7 +14,7 @@ import threading
 import pytest
 
 from revisit.formats import encode_quantised
-from revisit.service.capacity.in_flight import CALL_POINTS
+from revisit.service.capacity.limits import CALL_POINTS
 from tests.support.credentials import a_key
 from tests.support.figures import publish
 from tests.support.load import CALLS, OK, Address, Sender, Tally, run_for

@@ -14,7 +14,7 @@ import uvicorn
 
 from revisit import Client
 from revisit.sdk.retry import RetryPolicy
-from revisit.service.capacity.call_slots import CallLimits
+from revisit.service.capacity.limits import CallLimits
 from revisit.service.grpc.server import create_server
 from revisit.service.rest.app import create_app
 from revisit.service.rest.limits import HttpLimits

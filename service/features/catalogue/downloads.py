@@ -16,7 +16,8 @@ from revisit.core.errors import UnsupportedEncoding
 from revisit.formats import NPY, PCD, PLY, encode_npy, encode_pcd, encode_ply, encode_ply_mesh
 from revisit.formats.glb import MEDIA_TYPE as GLB
 from revisit.formats.glb import encode_scene
-from revisit.service.capacity.in_flight import POINTS_PER_S, InFlight, Turns
+from revisit.service.capacity.in_flight import InFlight, Turns
+from revisit.service.capacity.limits import POINTS_PER_S
 from revisit.service.domain.errors import NotFound, NotReady
 from revisit.service.domain.identity import TenantId
 from revisit.service.domain.records import SubmapRecord

@@ -7,6 +7,7 @@ from dataclasses import asdict
 from typing import Any
 
 from revisit.service.capacity.admission import Admission
+from revisit.service.capacity.limits import MESH_POINTS
 from revisit.service.domain import limits
 from revisit.service.domain.identity import SubmapKey, TenantId
 from revisit.service.domain.states import OperationKind
@@ -15,9 +16,6 @@ from revisit.service.features.catalogue.job import MESH_NONCE_BYTES
 from revisit.service.features.operations.worker_answers import WorkerAnswers
 from revisit.service.ports.blobs import MESH_BLOB
 from revisit.service.ports.storage import Storage
-
-MESH_POINTS = 500_000
-"""Cost of a mesh: the 50 to 70 ms of a worker that a cloud of so many points takes, and three commits."""
 
 
 class SubmapMeshes:

@@ -9,6 +9,7 @@ from functools import partial
 
 from revisit.service.capacity.admission import Admission
 from revisit.service.capacity.in_flight import Turns
+from revisit.service.capacity.limits import BATCHES_AT_A_TIME
 from revisit.service.domain.errors import NotFound
 from revisit.service.domain.events import EventRecord
 from revisit.service.domain.identity import TenantId
@@ -25,9 +26,6 @@ HEARTBEAT_S = 15.0
 
 BATCH = 100
 """Events that are read from the store at a time."""
-
-BATCHES_AT_A_TIME = 1
-"""Batches that are read at the same time; tenants take turns."""
 
 
 @dataclass(frozen=True)

@@ -5,10 +5,16 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from revisit.service.capacity.budget import Rate, RateBudget
+from revisit.service.capacity.limits import (
+    ADDRESS_FAILURES_AT_ONCE,
+    ADDRESS_FAILURES_PER_S,
+    FAILURES_AT_ONCE,
+    FAILURES_PER_S,
+)
 
 
 class FailedAttempts:
-    """A budget per address (20, then one in 5 s) and for all together (200, then one a second).
+    """A budget per address and one for all together.
 
     A valid credential is never refused for it: a client that shares an address with an attacker stays in.
     """
@@ -20,7 +26,8 @@ class FailedAttempts:
 
     def count(self, address: str) -> float:
         """Count a failure; 0 within the budget, else the seconds until it has room."""
-        wait_s = self._rates.try_take([Rate((address,), 0.2, 20.0), Rate((), 1.0, 200.0)])
+        own = Rate((address,), ADDRESS_FAILURES_PER_S, ADDRESS_FAILURES_AT_ONCE)
+        wait_s = self._rates.try_take([own, Rate((), FAILURES_PER_S, FAILURES_AT_ONCE)])
         self._over_budget += wait_s > 0.0
         return wait_s
 

@@ -17,6 +17,7 @@ from revisit.core.place import Place
 from revisit.core.place.correspondences import Correspondences, correspond
 from revisit.service.capacity.admission import Admission
 from revisit.service.capacity.in_flight import Turns
+from revisit.service.capacity.limits import COMPARISON_POINTS, COMPARISONS_AT_A_TIME
 from revisit.service.domain.errors import NotReady
 from revisit.service.domain.identity import SubmapKey, TenantId
 from revisit.service.domain.policy import Policy
@@ -25,9 +26,6 @@ from revisit.service.features.loops.calls import LoopClosureView, loop_view, req
 from revisit.service.ports.blobs import PLACE_BLOB, BlobStore
 from revisit.service.ports.storage import Storage, require_submap
 from revisit.service.ports.transactions import UnitOfWork
-
-COMPARISON_POINTS = 500_000
-"""Cost of the keypoints of a loop: five times the 10 ms of their comparison (docs/decisions/0172)."""
 
 
 @dataclass(frozen=True)
@@ -57,7 +55,7 @@ class LoopKeypointReading:
         self._storage = storage
         self._admission = admission
         self._config = policy.pipeline.verification
-        self._turns = Turns(1)
+        self._turns = Turns(COMPARISONS_AT_A_TIME)
 
     async def of(self, tenant: TenantId, map_id: str, loop_id: str) -> LoopKeypoints:
         """The keypoints of a loop closure. Raises NotFound; NotReady for a submap that is not described; DataLoss;

@@ -13,6 +13,7 @@ from typing import Generic, Protocol, TypeVar
 
 from revisit.core.errors import BadField
 from revisit.service.capacity.in_flight import InFlight, Turns
+from revisit.service.capacity.limits import LISTS_AT_A_TIME, ROW_POINTS
 from revisit.service.domain import limits
 from revisit.service.domain.identity import TenantId
 from revisit.service.ports.storage import Storage
@@ -20,12 +21,6 @@ from revisit.service.ports.transactions import UnitOfWork
 
 T = TypeVar("T")
 N = TypeVar("N", bound="Numbered")
-
-ROW_POINTS = 3_000
-"""Cost of a row of a list: five times the 60 us for which it holds the interpreter (docs/decisions/0172)."""
-
-LISTS_AT_A_TIME = 2
-"""Lists that are read at the same time, one of each tenant."""
 
 _HALF_BYTES = 8
 

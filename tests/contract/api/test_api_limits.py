@@ -18,7 +18,8 @@ import uvicorn
 
 from revisit.formats import QUANTISED, encode_quantised
 from revisit.service.capacity.byte_budget import ByteBudget
-from revisit.service.capacity.unauthenticated_limits import ArrivalRates, UnauthenticatedLimits
+from revisit.service.capacity.limits import ArrivalRates
+from revisit.service.capacity.unauthenticated_limits import UnauthenticatedLimits
 from revisit.service.rest.app import create_app
 from revisit.service.rest.door import AGAIN_S
 from revisit.service.rest.door import PATIENCE_S as PATIENCE_AT_THE_DOOR_S

@@ -17,7 +17,7 @@ from revisit import ApiError, Client, Cloud
 from revisit.formats import QUANTISED, encode_quantised
 from revisit.sdk.retry import RetryPolicy
 from revisit.service.capacity import backlog
-from revisit.service.capacity.in_flight import CALL_POINTS, CapacityLimits
+from revisit.service.capacity.limits import CALL_POINTS, CapacityLimits
 from revisit.v1 import cloud_pb2, geometry_pb2, ingest_pb2, ingest_pb2_grpc
 from tests.support.live_service import connected, live_service
 from tests.support.patience import PATIENCE_S, eventually
@@ -83,7 +83,7 @@ def test_points_beyond_a_quota_are_refused_with_the_time_to_come_back(client, se
 
 
 def test_a_full_queue_refuses_one_more_job_on_either_transport(client, session, service, limits, monkeypatch):
-    monkeypatch.setattr(backlog, "RECOUNT_S", 3600.0)
+    monkeypatch.setattr(backlog, "BACKLOG_RECOUNT_S", 3600.0)
     queued = service.world.context.transactions.read(lambda uow: uow.jobs.count("default", state="QUEUED")).result()
     for number in range(5 - queued):
         post(client, session, number)
@@ -97,7 +97,7 @@ def test_a_full_queue_refuses_one_more_job_on_either_transport(client, session, 
     service.world.work_off()
     with pytest.raises(ApiError, match="WORKERS_BUSY"):
         post(client, session, 9)
-    monkeypatch.setattr(backlog, "RECOUNT_S", 0.0)
+    monkeypatch.setattr(backlog, "BACKLOG_RECOUNT_S", 0.0)
     post(client, session, 9)
 
 

@@ -12,7 +12,8 @@ from grpc_health.v1 import health_pb2, health_pb2_grpc
 
 from revisit import ApiError, Client
 from revisit.sdk.retry import RetryPolicy
-from revisit.service.capacity.call_pace import CallPace, PaceLimits
+from revisit.service.capacity.call_pace import CallPace
+from revisit.service.capacity.limits import PaceLimits
 from revisit.service.use_cases import UseCases
 from tests.support.credentials import a_key
 from tests.support.live_service import live_service

@@ -12,7 +12,7 @@ import pytest
 from revisit import ApiError
 from revisit.evaluation.datasets import write_kitti
 from revisit.service.capacity import storage_quota
-from revisit.service.capacity.storage_quota import POINT_BYTES
+from revisit.service.capacity.limits import POINT_BYTES
 from revisit.service.domain.errors import QuotaReached
 from revisit.service.domain.identity import TenantId
 from tests.support.live_service import connected, live_service
@@ -46,7 +46,7 @@ def test_a_tenant_that_has_stored_what_it_may_is_refused_until_it_deletes_someth
     assert error.retry_after_s > 1.0
     post(client, 2)  # What is stored already takes no more room.
     client.delete("maps/town/sessions/monday/submaps/s0")
-    monkeypatch.setattr(storage_quota, "RECOUNT_S", 0.0)
+    monkeypatch.setattr(storage_quota, "QUOTA_RECOUNT_S", 0.0)
     post(client, 3)
 
 

@@ -16,8 +16,7 @@ from grpc_health.v1 import health_pb2, health_pb2_grpc
 from revisit import Client
 from revisit.sdk.errors import ResourceExhausted
 from revisit.sdk.retry import RetryPolicy
-from revisit.service.capacity.call_slots import CallLimits
-from revisit.service.capacity.slots import Share
+from revisit.service.capacity.limits import CallLimits, Share
 from revisit.v1 import event_pb2, operation_pb2, operation_pb2_grpc
 from tests.support.credentials import a_key
 from tests.support.live_service import live_service

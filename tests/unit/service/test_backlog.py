@@ -5,7 +5,8 @@ from __future__ import annotations
 import pytest
 
 from revisit.service.capacity.backlog import Backlog
-from revisit.service.capacity.in_flight import CapacityLimits, InFlight
+from revisit.service.capacity.in_flight import InFlight
+from revisit.service.capacity.limits import CapacityLimits
 from revisit.service.domain.errors import WorkersBusy
 from tests.support.service_world import memory_world, open_session, submap
 

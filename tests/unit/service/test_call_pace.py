@@ -6,8 +6,9 @@ import asyncio
 
 import pytest
 
-from revisit.service.capacity import call_pace
-from revisit.service.capacity.call_pace import CallPace, PaceLimits
+from revisit.service.capacity import limits
+from revisit.service.capacity.call_pace import CallPace
+from revisit.service.capacity.limits import PaceLimits
 from revisit.service.domain.errors import RateLimited
 
 LIMITS = PaceLimits(
@@ -159,7 +160,7 @@ async def test_callers_that_have_not_called_for_long_are_forgotten(pace, monkeyp
 
 async def test_a_body_that_is_refused_unread_counts_as_the_calls_that_take_as_long(pace, time):
     await pace.turn("acme", "robot")
-    pace.note_unread("acme", "robot", 10 * call_pace.UNREAD_BYTES_A_CALL)
+    pace.note_unread("acme", "robot", 10 * limits.UNREAD_BYTES_A_CALL)
     pace.note_unread("acme", "robot", 1)
     waiting = await begun([pace.turn("acme", "robot")])
     assert time.waits == [0.2]  # 11 calls before this one, of a burst of ten, ten a second
@@ -167,7 +168,7 @@ async def test_a_body_that_is_refused_unread_counts_as_the_calls_that_take_as_lo
     await waiting[0]
     pace.note_unread("acme", "robot", 2**40)
     (after,) = await begun([pace.turn("acme", "robot")])
-    assert time.waits[-1] == pytest.approx((1 + call_pace.MOST_CALLS_A_BODY - LIMITS.burst) / 10.0, abs=0.11)
+    assert time.waits[-1] == pytest.approx((1 + limits.MOST_CALLS_A_BODY - LIMITS.burst) / 10.0, abs=0.11)
     after.cancel()
 
 
@@ -176,7 +177,7 @@ async def test_whoever_was_refused_for_its_rate_comes_at_a_slower_pace_until_it_
     calls = await begun(pace.turn("acme", "robot") for _ in range(12))
     assert time.waits == [0.25, 0.5]  # ten at once, then four a second
     await pace.turn("another", "robot")
-    await time.pass_s(call_pace.REFUSED_FOR_S)
+    await time.pass_s(limits.REFUSED_FOR_S)
     await asyncio.gather(*calls)
     await asyncio.gather(*(pace.turn("acme", "robot") for _ in range(8)))
     assert len(time.waits) == 2
@@ -199,7 +200,7 @@ async def test_whoever_was_refused_for_its_rate_lets_clouds_of_others_go_first_f
     await pace.turn("acme", "other")
     assert waited == []
     await pace.turn("acme", "robot")
-    assert waited == (call_pace.POLLS if others_end_after is None else others_end_after) * [call_pace.POLL_S]
+    assert waited == (limits.CALL_POLLS if others_end_after is None else others_end_after) * [limits.CALL_POLL_S]
 
 
 async def test_those_that_were_refused_longest_ago_are_forgotten(pace, monkeypatch):

@@ -7,15 +7,15 @@ from contextlib import AsyncExitStack, ExitStack, suppress
 
 import pytest
 
-from revisit.service.capacity.in_flight import (
+from revisit.service.capacity.in_flight import InFlight
+from revisit.service.capacity.limits import (
     BESIDE_OTHERS,
     CALL_POINTS,
+    CLOUD_POLL_S,
+    CLOUD_POLLS,
     OTHERS_S,
     OVERLOAD_S,
-    POLL_S,
-    POLLS,
     CapacityLimits,
-    InFlight,
 )
 from revisit.service.domain.errors import RateLimited, WorkersBusy
 
@@ -153,7 +153,7 @@ async def test_one_tenant_leaves_a_place_for_another(clock):
 
 @pytest.mark.parametrize(
     ("sent_by_another_s_ago", "done_after", "waits"),
-    [(None, None, 0), (1.1 * OTHERS_S, None, 0), (0.5 * OTHERS_S, 2, 2), (0.5 * OTHERS_S, None, POLLS)],
+    [(None, None, 0), (1.1 * OTHERS_S, None, 0), (0.5 * OTHERS_S, 2, 2), (0.5 * OTHERS_S, None, CLOUD_POLLS)],
     ids=["alone", "the other has stopped", "until one is done", "but not for ever"],
 )
 async def test_beside_others_a_tenant_has_few_clouds_under_way(clock, sent_by_another_s_ago, done_after, waits):
@@ -175,7 +175,7 @@ async def test_beside_others_a_tenant_has_few_clouds_under_way(clock, sent_by_an
         async with bounded.reserve_cloud("bert") if sent_by_another_s_ago == 0.5 * OTHERS_S else AsyncExitStack():
             pass
         async with bounded.reserve_cloud("anna"):
-            assert waited == waits * [POLL_S]
+            assert waited == waits * [CLOUD_POLL_S]
 
 
 async def test_others_wait_while_their_clouds_are_in_flight(clock):

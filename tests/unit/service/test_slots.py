@@ -6,8 +6,9 @@ import asyncio
 
 import pytest
 
-from revisit.service.capacity.call_slots import CallLimits, CallSlots, waiting, watching
-from revisit.service.capacity.slots import Share, Slots
+from revisit.service.capacity.call_slots import CallSlots, waiting, watching
+from revisit.service.capacity.limits import CallLimits, Share
+from revisit.service.capacity.slots import Slots
 from revisit.service.domain.errors import RateLimited
 
 SHARE = Share("calls", 16, 12, 8)

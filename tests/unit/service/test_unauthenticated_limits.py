@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from revisit.service.capacity import unauthenticated_limits
-from revisit.service.capacity.unauthenticated_limits import ArrivalRates, Shown, UnauthenticatedLimits, holder_of
+from revisit.service.capacity.limits import KNOWN_S, ArrivalRates
+from revisit.service.capacity.unauthenticated_limits import Shown, UnauthenticatedLimits, holder_of
 
 
 @pytest.fixture
@@ -116,7 +116,7 @@ def test_a_credential_is_known_for_a_while_after_it_was_admitted_and_has_a_pace(
     arrivals.vouch("10.0.0.1", "rv_key")
     assert (arrivals.is_known("rv_key"), arrivals.is_known("rv_other")) == (True, False)
     assert [arrivals.may_return("rv_key") for _ in range(2)] == [True, False]
-    time.now_s += unauthenticated_limits.KNOWN_S
+    time.now_s += KNOWN_S
     assert not arrivals.is_known("rv_key")
 
 
