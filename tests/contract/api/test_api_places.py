@@ -82,6 +82,11 @@ def told_when_to_come_back(refusal):
     return refusal.code() is grpc.StatusCode.RESOURCE_EXHAUSTED and len(delays) == 1
 
 
+def gave_way(refusal):
+    """A call without a credential that had no message yet while 64 newer ones of its address began."""
+    return refusal.code() is grpc.StatusCode.DEADLINE_EXCEEDED
+
+
 async def serves(crowded, metadata):
     """The other tenant lists and watches, and health is told."""
     async with channels(crowded.grpc, 1) as (channel,):
@@ -113,8 +118,8 @@ async def test_whoever_watches_keeps_no_other_tenant_out(crowded, keys, who, let
             await watches.refusals(WATCHES - let_in)
             assert await serves(crowded, keys["other"])
             refused = await watches.refusals(WATCHES - let_in)
-            assert len(refused) == WATCHES - let_in
-            assert all(told_when_to_come_back(refusal) for refusal in refused)
+            assert len(refused) >= WATCHES - let_in
+            assert all(gave_way(refusal) or told_when_to_come_back(refusal) for refusal in refused)
 
 
 async def test_the_places_of_watches_that_ended_are_given_back(crowded, keys):
