@@ -23,6 +23,20 @@ from tests.support.patience import PATIENCE_S
 from tests.support.service_world import World, memory_world
 
 
+class Working(threading.Event):
+    """Whether the worker takes jobs. Once it was cleared, none is taken: also not by a claim that had begun."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.claiming = threading.Lock()
+
+    def clear(self) -> None:
+        """From now on no job is taken."""
+        super().clear()
+        with self.claiming:
+            pass
+
+
 @dataclass
 class LiveService:
     """Where it listens, and the world behind it; `working` lets the worker take jobs."""
@@ -30,7 +44,7 @@ class LiveService:
     http: str
     grpc: str
     world: World
-    working: threading.Event
+    working: Working
     loop: asyncio.AbstractEventLoop
 
     def stored(self) -> tuple[int, ...]:
@@ -94,7 +108,7 @@ async def _serve(
         await asyncio.sleep(0.01)
     address = f"http://127.0.0.1:{listener.getsockname()[1]}"
     loop = asyncio.get_running_loop()
-    started.append(LiveService(address, f"127.0.0.1:{grpc_port}", world, threading.Event(), loop))
+    started.append(LiveService(address, f"127.0.0.1:{grpc_port}", world, Working(), loop))
     started[0].working.set()
     ready.set()
     while not stop.is_set():
@@ -106,7 +120,8 @@ async def _serve(
 def _work(service: LiveService, stop: threading.Event) -> None:
     recognition = service.world.worker()
     while not stop.is_set():
-        lease = service.world.claim() if service.working.is_set() else None
+        with service.working.claiming:
+            lease = service.world.claim() if service.working.is_set() else None
         if lease is None:
             time.sleep(0.01)
         else:
