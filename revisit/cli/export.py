@@ -49,14 +49,7 @@ def export(
     grid (grid), poses and cloud for Foxglove (mcap), or pairs of points for fleet adapters (reference). Poses are those
     of the version in force, or else optimised here.
     """
-    if file_format not in TEXTS + FILES:
-        raise refuse(f"--format is one of {', '.join(TEXTS + FILES)}")
-    if file_format in ("tum", "scans") and not session_id:
-        raise refuse(f"--format {file_format} writes one trajectory: give --session")
-    if file_format == "scans" and recording is None:
-        raise refuse("--format scans needs --recording: the service keeps no pose of a single scan")
-    if file_format in FILES and out is None:
-        raise refuse(f"--format {file_format} needs --out")
+    _require_fitting(file_format, session_id, recording, out)
     try:
         if file_format == "scans" and recording is not None and out is not None:
             summary = _write_scans(out, http, (map_id, session_id), opened(recording, "auto", None, None, None, poses))
@@ -71,6 +64,18 @@ def export(
     elif out is not None:
         counts = ", ".join(f"{value} {name}" for name, value in summary.items() if name != "file")
         say(f"{out}: {counts}")
+
+
+def _require_fitting(file_format: str, session_id: str, recording: Path | None, out: Path | None) -> None:
+    """Refuses a format that is none, or that lacks what it writes of."""
+    if file_format not in TEXTS + FILES:
+        raise refuse(f"--format is one of {', '.join(TEXTS + FILES)}")
+    if file_format in ("tum", "scans") and not session_id:
+        raise refuse(f"--format {file_format} writes one trajectory: give --session")
+    if file_format == "scans" and recording is None:
+        raise refuse("--format scans needs --recording: the service keeps no pose of a single scan")
+    if file_format in FILES and out is None:
+        raise refuse(f"--format {file_format} needs --out")
 
 
 def _write_text(file_format: str, out: Path | None, http: str, map_id: str, session_id: str) -> dict[str, Any]:

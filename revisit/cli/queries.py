@@ -48,10 +48,7 @@ def query(
             raise refuse("--file takes a cloud, and neither --submap, --exclude-session, --level nor --storey")
         _localize_in_file(file, cloud, k, json)
         return
-    if (cloud is None) == (not submap):
-        raise refuse("give either a cloud file or --submap SESSION/SUBMAP")
-    if submap and storey:
-        raise refuse("--storey is that of a cloud: a submap is on the storey of its session")
+    _require_one_question(cloud, submap, storey)
     with Client(http) as client:
         if cloud is not None:
             where = {
@@ -62,6 +59,14 @@ def query(
             _localize(client, map_id, cloud, k, where, json)
         else:
             _search(client, map_id, submap, k, exclude_session or None, json)
+
+
+def _require_one_question(cloud: Path | None, submap: str, storey: str) -> None:
+    """Refuses none or both of a cloud and a submap, and the storey of a submap."""
+    if (cloud is None) == (not submap):
+        raise refuse("give either a cloud file or --submap SESSION/SUBMAP")
+    if submap and storey:
+        raise refuse("--storey is that of a cloud: a submap is on the storey of its session")
 
 
 def loops(

@@ -61,7 +61,7 @@ class JoinAudit:
     def solved(self, task: MapTask, progress: Progress) -> OptimisedMap:
         """The solution of a map without the loops of joins that surfaces speak against. Blocks.
 
-        The graph is solved again after each refusal, which takes one loop of it at least. Raises what `told` raises.
+        The graph is solved again after each refusal, which takes a loop of it or more. Raises as `progress` does.
         """
         asked = _Audit(self._context, self._merger, task, progress)
         refused: tuple[RefusedJoin, ...] = ()

@@ -77,7 +77,7 @@ class SqliteTransactions:
         *,
         checkpoints: bool,
         lease_ms: int = 10_000,
-        clock: Clock = SystemClock(),
+        clock: Clock | None = None,
         fail_stop: FailStop | None = None,
         on_full: Callable[[], None] = lambda: None,
     ) -> None:
@@ -96,7 +96,7 @@ class SqliteTransactions:
         self._engine = SqliteEngine()
         self._lock = WriterLock(path)
         self._lease_ms = lease_ms
-        self._clock = clock
+        self._clock = clock or SystemClock()
         self._fail_stop = fail_stop or FailStop()
         self._failures = StorageFailures(write_ahead_log(path), self._fail_stop, on_full)
         self._writing = GroupCommitter(self._transaction)
