@@ -28,6 +28,22 @@ class RejectionReason(StrEnum):
     FAR_FROM_INITIAL_POSE = "FAR_FROM_INITIAL_POSE"  # the initial pose of a merge says otherwise
 
 
+class Authority(StrEnum):
+    """Weight of a pose from which registration starts."""
+
+    DECIDES = "DECIDES"  # registration starts there alone; other poses that fit as well do not count against it
+    COMPETES = "COMPETES"  # registration starts there alone; other poses that fit as well count against it
+    HINT = "HINT"  # tried first, as one that competes; where the pair is not accepted from there, it is left out
+
+
+@dataclass(frozen=True)
+class InitialPose:
+    """A T_match_query (4, 4) between the submap frames of a pair, from which its registration starts."""
+
+    T_match_query: se3.Matrix4
+    authority: Authority = Authority.DECIDES
+
+
 @dataclass(frozen=True)
 class Hypothesis:
     """A pose T_match_query (4, 4) of a pair, and the overlap 0..1 of the surfaces in it."""

@@ -11,14 +11,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from revisit.core import verification
 from revisit.core.bev import BevFeatures, describe_bev
 from revisit.core.clusters import Clusters, segment_clusters
-from revisit.core.config import PipelineConfig, VerificationConfig
+from revisit.core.config import PipelineConfig
 from revisit.core.descriptor.fusion import PlaceDescriptor, PlaceFeatures, fuse
 from revisit.core.errors import DegenerateCloud
 from revisit.core.geometry.level_frame import LevelFrame
-from revisit.core.geometry.se3 import Matrix4
 from revisit.core.implicit_map import NeuralMap, fit_implicit_map
 from revisit.core.kernels.plane_votes import plane_scores
 from revisit.core.micro.cluster_normals import describe_clusters
@@ -32,7 +30,7 @@ from revisit.core.scan_disagreement import ScanDisagreement, scan_disagreement
 from revisit.core.spectra import describe_spectra
 from revisit.core.submap import Submap
 from revisit.core.surface import Surface, extract_surface
-from revisit.core.verification import RejectedLoop, VerifiedLoop
+from revisit.core.verification import verify as verify
 
 
 @dataclass(frozen=True)
@@ -130,22 +128,3 @@ def describe_surface(
         raise DegenerateCloud("nothing in the submap's bird's-eye view tells it from other places", field="points")
     place = extract_place(surface, clusters, bev, models.codebooks, config.verification)
     return DescribedSurface(descriptor, dataclasses.replace(place, frame=frame), surface, clusters, bev, frame)
-
-
-def verify(
-    query: Place,
-    match: Place,
-    similarity: float,
-    config: VerificationConfig,
-    near: Matrix4 | None = None,
-    *,
-    near_decides: bool = True,
-    expected: Matrix4 | None = None,
-) -> VerifiedLoop | RejectedLoop:
-    """Whether two places are the same and how they align: SE(2) start, ICP, gates (paper III-E, end).
-
-    `T_match_query` of the answer maps the frame of the query submap into that of the match submap. Exchanged places get
-    the same verdict and the inverse pose. `near` (4, 4) is a T_match_query to start from, where somebody knows one;
-    unless it decides, other poses that fit as well count against it. `expected` (4, 4) is a guess that is tried first.
-    """
-    return verification.verify(query, match, similarity, config, near, near_decides=near_decides, expected=expected)

@@ -23,7 +23,7 @@ from revisit.core.acceptance import (
 from revisit.core.config import PipelineConfig
 from revisit.core.geometry import se3
 from revisit.core.index import Match
-from revisit.core.verification import PairVerdict, VerifiedLoop
+from revisit.core.verification import InitialPose, PairVerdict, VerifiedLoop
 from revisit.evaluation.described_submaps import DescribedSubmap, in_processes
 from revisit.evaluation.loop_closure_method import verdict_of_pair
 from revisit.evaluation.matching import QueryMatches, RankedCandidate, pose_error, ranked_candidate
@@ -39,14 +39,9 @@ class PairMethod(Protocol):
     config: PipelineConfig
 
     def verify_pair(
-        self,
-        query: bytes,
-        match: bytes,
-        similarity: float,
-        near: se3.Matrix4 | None = None,
-        expected: se3.Matrix4 | None = None,
+        self, query: bytes, match: bytes, similarity: float, initial: InitialPose | None = None
     ) -> PairVerdict:
-        """The verdict on a pair by itself, around a T_match_query `near`, or tried at `expected` first."""
+        """The verdict on a pair by itself."""
 
 
 @dataclass(frozen=True)
@@ -100,24 +95,18 @@ def _verify_query(work: _DriveWork, task: tuple[int, tuple[Match, ...]]) -> tupl
     started = time.process_time()
     predicted = PredictedPoses([station(work.places[one.id]) for one in matches], work.method.config)
 
-    def verify(row: int, expected: se3.Matrix4 | None) -> PairVerdict:
-        return _verified(work, number, matches[row], expected=expected)
+    def verify(row: int, initial: InitialPose | None) -> PairVerdict:
+        return _verified(work, number, matches[row], initial)
 
     verdicts = verify_in_turn(predicted, len(matches), verify, {})
     return verdicts, time.process_time() - started
 
 
-def _verified(
-    work: _DriveWork,
-    query: int,
-    match: Match,
-    near: se3.Matrix4 | None = None,
-    expected: se3.Matrix4 | None = None,
-) -> PairVerdict:
+def _verified(work: _DriveWork, query: int, match: Match, initial: InitialPose | None) -> PairVerdict:
     asked, known = work.places[query].description, work.places[match.id].description
     if asked is None or known is None:
         raise ValueError(f"submaps {query} and {match.id} were matched without descriptions")
-    return work.method.verify_pair(asked.place, known.place, match.similarity, near, expected)
+    return work.method.verify_pair(asked.place, known.place, match.similarity, initial)
 
 
 def _judged(
@@ -147,9 +136,7 @@ def _accepted(
     before, query = [station(one) for one in work.places[first:number]], station(work.places[number])
     drive = Drive([judged[one][row].claim for one, row in where], stride_of_drive(query, before, config))
     pairs = [*((one, judged[one][row].match) for one, row in where), *((number, one.match) for one in new)]
-    decided = accept(
-        [one.claim for one in new], drive, config, lambda row, near: _verified(work, *pairs[row], near=near)
-    )
+    decided = accept([one.claim for one in new], drive, config, lambda row, near: _verified(work, *pairs[row], near))
     for row, claim in decided.revised.items():
         one, place = where[row]
         judged[one][place] = dataclasses.replace(judged[one][place], claim=claim)

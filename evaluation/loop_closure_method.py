@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from revisit.core.config import PipelineConfig
 from revisit.core.geometry import se3
 from revisit.core.submap import Submap
-from revisit.core.verification import PairVerdict, RejectedLoop
+from revisit.core.verification import InitialPose, PairVerdict, RejectedLoop
 
 
 @dataclass(frozen=True)
@@ -89,19 +89,14 @@ class RevisitMethod:
         return verdict_of_pair(self.verify_pair(query, match, similarity))
 
     def verify_pair(
-        self,
-        query: bytes,
-        match: bytes,
-        similarity: float,
-        near: se3.Matrix4 | None = None,
-        expected: se3.Matrix4 | None = None,
+        self, query: bytes, match: bytes, similarity: float, initial: InitialPose | None = None
     ) -> PairVerdict:
-        """The verdict of core.pipeline.verify, around T_match_query `near`, or tried at `expected` first."""
+        """`revisit.core.verification.verify` of two stored places."""
         from revisit.core.pipeline import verify
         from revisit.core.place import Place
 
         pair = Place.from_blob(query), Place.from_blob(match)
-        return verify(*pair, similarity, self.config.verification, near, expected=expected)
+        return verify(*pair, similarity, self.config.verification, initial)
 
 
 def verdict_of_pair(loop: PairVerdict) -> Verdict:

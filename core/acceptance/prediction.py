@@ -19,7 +19,7 @@ from revisit.core.acceptance.neighbour_support import NeighbourLoop, predicted_p
 from revisit.core.config import PipelineConfig
 from revisit.core.geometry import se3
 from revisit.core.geometry.se3 import Matrix4
-from revisit.core.pair_verdict import PairVerdict, VerifiedLoop
+from revisit.core.pair_verdict import Authority, InitialPose, PairVerdict, VerifiedLoop
 
 _WINDOWS = 3.0
 """Windows between two submaps up to which they share about half of what they have seen. Repetition within that is
@@ -37,6 +37,11 @@ class PredictedPose:
     T_match_query: Matrix4
     within_reach: bool
     is_known: bool
+
+    @property
+    def hint(self) -> InitialPose | None:
+        """Where registration may start; None where the two are too far apart to share much."""
+        return InitialPose(self.T_match_query, Authority.HINT) if self.within_reach else None
 
 
 @dataclass(frozen=True)
@@ -115,12 +120,12 @@ class PredictedPoses:
 def verify_in_turn(
     predicted: PredictedPoses,
     count: int,
-    verify: Callable[[int, Matrix4 | None], PairVerdict],
+    verify: Callable[[int, InitialPose | None], PairVerdict],
     known: Mapping[int, PairVerdict],
 ) -> dict[int, PairVerdict]:
     """The verdicts on `count` candidates, most similar first, by row; without those whose pose is known by then.
 
-    verify(row, expected) verifies one, from a predicted T_match_query where there is one; verdicts in `known` stand.
+    verify(row, initial) verifies one, with the predicted pose as a hint where there is one; verdicts in `known` stand.
     """
     verdicts = dict[int, PairVerdict]()
     for row in range(count):
@@ -128,7 +133,7 @@ def verify_in_turn(
         if row in known:
             verdicts[row] = known[row]
         elif pose is None or not pose.is_known:
-            verdicts[row] = verify(row, pose.T_match_query if pose is not None and pose.within_reach else None)
+            verdicts[row] = verify(row, pose.hint if pose is not None else None)
         if row in verdicts:
             predicted.add(row, verdicts[row])
     return verdicts

@@ -16,9 +16,9 @@ from revisit.core.acceptance.drive_loops import DriveLoops
 from revisit.core.acceptance.neighbour_support import NeighbourSupport, find_support
 from revisit.core.config import VerificationConfig
 from revisit.core.geometry.se3 import Matrix4
-from revisit.core.pair_verdict import Hypothesis, PairVerdict, VerifiedLoop
+from revisit.core.pair_verdict import Hypothesis, InitialPose, PairVerdict, VerifiedLoop
 
-VerifyNear = Callable[[int, Matrix4], PairVerdict]
+VerifyNear = Callable[[int, InitialPose], PairVerdict]
 """Verify the pair of the claim in a row again, around a T_match_query (4, 4)."""
 
 
@@ -80,7 +80,7 @@ def _registered(
 ) -> LoopClaim | None:
     """The claim around the pose that has support; None where it is not accepted there, or moved away from it."""
     hypothesis = claim.hypotheses[support.hypothesis]
-    verdict = verify_near(row, hypothesis)
+    verdict = verify_near(row, InitialPose(hypothesis))
     if not isinstance(verdict, VerifiedLoop):
         return None
     moved_m = float(np.linalg.norm(verdict.measurement.T_match_query[:3, 3] - hypothesis[:3, 3]))

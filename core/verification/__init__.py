@@ -1,7 +1,9 @@
 """Verification of a loop candidate: correspondences, start, registration, evidence, verdict (paper III-E, end)."""
 
 from revisit.core.pair_verdict import (
+    Authority,
     Hypothesis,
+    InitialPose,
     LoopMeasurement,
     PairVerdict,
     RejectedLoop,
@@ -11,6 +13,6 @@ from revisit.core.pair_verdict import (
 from revisit.core.verification.verdict import is_degenerate, loop_score, verify
 
 __all__ = [
-    "Hypothesis", "LoopMeasurement", "PairVerdict", "RejectedLoop", "RejectionReason", "VerifiedLoop", "is_degenerate",
-    "loop_score", "verify",
+    "Authority", "Hypothesis", "InitialPose", "LoopMeasurement", "PairVerdict", "RejectedLoop", "RejectionReason",
+    "VerifiedLoop", "is_degenerate", "loop_score", "verify",
 ]  # fmt: skip

@@ -13,7 +13,9 @@ from revisit.core.errors import DescriptorModelMismatch
 from revisit.core.geometry import se3
 from revisit.core.geometry.level_frame import motion_between_levels, motion_between_submaps
 from revisit.core.pair_verdict import (
+    Authority,
     Hypothesis,
+    InitialPose,
     LoopMeasurement,
     PairVerdict,
     RejectedLoop,
@@ -36,30 +38,24 @@ def verify(
     match: Place,
     similarity: float,
     config: VerificationConfig,
-    near: se3.Matrix4 | None = None,
-    *,
-    near_decides: bool = True,
-    expected: se3.Matrix4 | None = None,
+    initial: InitialPose | None = None,
 ) -> PairVerdict:
-    """Whether two submaps show the same place, and how they lie to each other.
+    """Whether two submaps show the same place, and how they lie to each other: SE(2) start, ICP, gates.
 
-    `near` (4, 4), a T_match_query between the submap frames that somebody names, is where registration starts then,
-    alone. Where it decides, other poses that fit as well do not count against it; else they do, as they do without it.
-    `expected` (4, 4), a guess at it, is tried first: where the pair passes everything from there, that is the answer,
-    else the one without a guess. A wrong guess costs time alone.
+    Registration starts from `initial`, if there is one, as its authority says. A wrong hint costs time alone.
 
     Nothing in it is random, and the answer does not depend on which place is the query: `verify(b, a)` has the verdict,
     reason and evidence of `verify(a, b)`, and the inverse pose. Raises DescriptorModelMismatch where the places come
     from different codebooks or scene scales.
     """
-    if expected is not None and near is None:
-        found = verify(query, match, similarity, config, expected, near_decides=False)
-        if isinstance(found, VerifiedLoop):
-            return found
+    if initial is not None and initial.authority is Authority.HINT:
+        competing = dataclasses.replace(initial, authority=Authority.COMPETES)
+        found = verify(query, match, similarity, config, competing)
+        return found if isinstance(found, VerifiedLoop) else verify(query, match, similarity, config)
     if query.content_digest <= match.content_digest:
-        return _verify_in_order(query, match, similarity, config, near, near_decides)
-    exchanged = None if near is None else se3.inverse(near)
-    return _inverted(_verify_in_order(match, query, similarity, config, exchanged, near_decides))
+        return _verify_in_order(query, match, similarity, config, initial)
+    exchanged = initial and dataclasses.replace(initial, T_match_query=se3.inverse(initial.T_match_query))
+    return _inverted(_verify_in_order(match, query, similarity, config, exchanged))
 
 
 def _verify_in_order(
@@ -67,8 +63,7 @@ def _verify_in_order(
     match: Place,
     similarity: float,
     config: VerificationConfig,
-    near: se3.Matrix4 | None,
-    near_decides: bool,
+    initial: InitialPose | None,
 ) -> PairVerdict:
     """The verdict on two places in the order of their content digests.
 
@@ -80,8 +75,8 @@ def _verify_in_order(
         return RejectedLoop(RejectionReason.DEGENERATE_PLACE)
     start = (
         find_start(query, match, config)
-        if near is None
-        else start_at(motion_between_levels(near, query.frame, match.frame), query, match, config)
+        if initial is None
+        else start_at(motion_between_levels(initial.T_match_query, query.frame, match.frame), query, match, config)
     )
     surfaces = OrientedPoints.of(query), OrientedPoints.of(match)
     registration = register(start.poses, *surfaces, config)
@@ -89,7 +84,7 @@ def _verify_in_order(
     other = reconsider(registration, *surfaces, config) if reason in _OF_A_POSE else None
     if other is not None:
         measurement, reason = _judged(other, start.fit, query, match, similarity, config)
-    if reason in _WITH_RIVALS and not (near is not None and near_decides):
+    if reason in _WITH_RIVALS and not (initial is not None and initial.authority is Authority.DECIDES):
         rivals = find_rivals(measurement.T_match_query, *surfaces, config, repeats=reason is None)
         measurement = dataclasses.replace(measurement, rivals=rivals)
         reason = RejectionReason.AMBIGUOUS if rivals else reason

@@ -13,12 +13,11 @@ import numpy as np
 from revisit.core.codec.mesh import Mesh
 from revisit.core.config import PipelineConfig, Profile
 from revisit.core.errors import DataLoss
-from revisit.core.geometry.se3 import Matrix4
 from revisit.core.implicit_map import NeuralMap
 from revisit.core.kernels.intermediate_code import pack_intermediate_code
 from revisit.core.kernels.plane_votes import plane_scores
 from revisit.core.model_bundle import ModelBundle
-from revisit.core.pair_verdict import PairVerdict
+from revisit.core.pair_verdict import InitialPose, PairVerdict
 from revisit.core.pipeline import describe_again, describe_fitted, fit, verify
 from revisit.core.place import Place
 from revisit.core.profiles import profile_models
@@ -99,19 +98,10 @@ class CoreRecogniser:
         return NeuralMap.from_blob(blob, self._models_of(config.profile).decoder, config.implicit_map)
 
     def verify(
-        self,
-        query: bytes,
-        match: bytes,
-        similarity: float,
-        config: PipelineConfig,
-        near: Matrix4 | None = None,
-        *,
-        near_decides: bool = True,
-        expected: Matrix4 | None = None,
+        self, query: bytes, match: bytes, similarity: float, config: PipelineConfig, initial: InitialPose | None = None
     ) -> PairVerdict:
         """See `PlaceRecogniser`."""
-        places = self._place(query), self._place(match)
-        return verify(*places, similarity, config.verification, near, near_decides=near_decides, expected=expected)
+        return verify(self._place(query), self._place(match), similarity, config.verification, initial)
 
     def release(self) -> None:
         """See `PlaceRecogniser`. Places stay as they were read: reading takes longer than deriving."""

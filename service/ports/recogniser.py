@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 
 from revisit.core.codec.mesh import Mesh
 from revisit.core.config import PipelineConfig, Profile
-from revisit.core.geometry.se3 import Matrix4
-from revisit.core.pair_verdict import PairVerdict
+from revisit.core.pair_verdict import InitialPose, PairVerdict
 from revisit.core.scan import Scan
 from revisit.core.submap import Submap
 
@@ -70,19 +69,7 @@ class PlaceRecogniser(PlaceKeeper, Protocol):
         ...
 
     def verify(
-        self,
-        query: bytes,
-        match: bytes,
-        similarity: float,
-        config: PipelineConfig,
-        near: Matrix4 | None = None,
-        *,
-        near_decides: bool = True,
-        expected: Matrix4 | None = None,
+        self, query: bytes, match: bytes, similarity: float, config: PipelineConfig, initial: InitialPose | None = None
     ) -> PairVerdict:
-        """Compare two places geometrically, around T_match_query `near` (4, 4) where somebody names one.
-
-        Unless that decides, other poses that fit as well count against it, as they do without it. `expected` (4, 4) is
-        a guess at T_match_query: tried first, and no more than that. Raises DataLoss for damaged places.
-        """
+        """`revisit.core.verification.verify` of two stored places. Raises DataLoss for damaged ones."""
         ...

@@ -31,9 +31,9 @@ class Street(FakeRecogniser):
     def describe(self, given, config):
         return replace(super().describe(given, config), place=np.float64(given.T_odom_submap[0, 3]).tobytes())
 
-    def verify(self, query, match, similarity, config, near=None, *, near_decides=True, expected=None):
+    def verify(self, query, match, similarity, config, initial=None):
         at, other = (float(np.frombuffer(one)[0]) for one in (query, match))
-        self.guesses.append((at - other, None if expected is None else float(expected[0, 3])))
+        self.guesses.append((at - other, None if initial is None else float(initial.T_match_query[0, 3])))
         if abs(at - other) > 15.0:
             return rejected()
         aside_m = 0.0 if self._true else 2.0 * len(self.guesses)

@@ -25,8 +25,8 @@ class Reading(FakeRecogniser):
 
     method = CoreRecogniser()
 
-    def verify(self, query, match, similarity, config, near=None, **how):
-        return self.method.verify(match, match, similarity, config, near, **how)
+    def verify(self, query, match, similarity, config, initial=None):
+        return self.method.verify(match, match, similarity, config, initial)
 
     def mesh(self, neural_map, config):
         return self.method.mesh(neural_map, config)

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from revisit.core.geometry import se3
+from revisit.core.verification import Authority
 from revisit.service.domain.identity import SessionKey, SubmapKey
 from revisit.service.domain.states import LoopState
 from revisit.service.features.catalogue.maps import CreateMap
@@ -43,14 +44,14 @@ class RowOfHouses(FakeRecogniser):
     def describe(self, given, config):
         return replace(super().describe(given, config), place=np.float64(given.T_odom_submap[0, 3]).tobytes())
 
-    def verify(self, query, match, similarity, config, near=None, *, near_decides=True, expected=None):
+    def verify(self, query, match, similarity, config, initial=None):
         at, other = (float(np.frombuffer(one)[0]) for one in (query, match))
         shifts = (at - other + PERIOD_M, at - other, at - other - PERIOD_M)
         poses = [se3.from_yaw(0.0, (shift, 0.3, 0.0)) for shift in shifts]
         if abs(at - other) > 15.0:
             return rejected()
-        if near is not None:
-            return verified(near, 0.8)
+        if initial is not None and initial.authority is Authority.DECIDES:
+            return verified(initial.T_match_query, 0.8)
         if min(at, other) >= self._end_m:
             return verified(poses[1])
         return ambiguous(poses)
@@ -150,7 +151,7 @@ class EqualBlocks(FakeRecogniser):
     def describe(self, given, config):
         return replace(super().describe(given, config), place=np.float64(given.T_odom_submap[0, 3]).tobytes())
 
-    def verify(self, query, match, similarity, config, near=None, *, near_decides=True, expected=None):
+    def verify(self, query, match, similarity, config, initial=None):
         at, other = (float(np.frombuffer(one)[0]) for one in (query, match))
         shift = (at - other + 10.0) % 20.0 - 10.0
         return verified(se3.from_yaw(0.0, (shift, 0.3, 0.0)))
@@ -168,10 +169,10 @@ async def test_accepted_loops_that_contradict_each_other_are_ambiguous(world):
 class TwoEqualSpots(EqualBlocks):
     """What lies at 0 m looks like what lies at 200 m, and nothing else like anything."""
 
-    def verify(self, query, match, similarity, config, near=None, *, near_decides=True, expected=None):
+    def verify(self, query, match, similarity, config, initial=None):
         places = {float(np.frombuffer(one)[0]) for one in (query, match)}
         if places == {0.0, 200.0}:
-            return super().verify(query, match, similarity, config, near)
+            return super().verify(query, match, similarity, config, initial)
         return rejected()
 
 

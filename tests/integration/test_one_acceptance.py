@@ -30,8 +30,8 @@ class AsMethod:
     recogniser: FakeRecogniser
     config: PipelineConfig = field(default_factory=lambda: policy().pipeline)
 
-    def verify_pair(self, query, match, similarity, near=None, expected=None):
-        return self.recogniser.verify(query, match, similarity, self.config, near, expected=expected)
+    def verify_pair(self, query, match, similarity, initial=None):
+        return self.recogniser.verify(query, match, similarity, self.config, initial)
 
 
 async def driven(recogniser):

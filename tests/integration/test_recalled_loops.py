@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import numpy as np
 import pytest
 
-from revisit.core.verification import VerifiedLoop
+from revisit.core.verification import Authority, InitialPose, VerifiedLoop
 from revisit.service.failpoints import arm
 from revisit.service.features.loops.rows import LoopStanding
 from revisit.service.features.recognition import loop_recall_job
@@ -23,16 +22,16 @@ class Geometry(FakeRecogniser):
     """Finds the right pose only where it is told where to start; what it was asked is kept."""
 
     def __init__(self, aside_m: float = 0.0, blind: bool = False) -> None:
-        self.asked: list[tuple[np.ndarray, bool]] = []
+        self.asked: list[InitialPose] = []
         self._aside_m, self._blind = aside_m, blind
 
-    def verify(self, query, match, similarity, config, near=None, *, near_decides=True, expected=None):
-        if near is None:
+    def verify(self, query, match, similarity, config, initial=None):
+        if initial is None or initial.authority is Authority.HINT:
             return rejected()
-        self.asked.append((near, near_decides))
-        found = super().verify(query, match, similarity, config, near)
+        self.asked.append(initial)
+        found = super().verify(query, match, similarity, config, initial)
         if self._blind or not isinstance(found, VerifiedLoop):
-            return rejected("LOW_OVERLAP", near)
+            return rejected("LOW_OVERLAP", initial.T_match_query)
         T = found.measurement.T_match_query.copy()
         T[0, 3] += self._aside_m
         return VerifiedLoop(replace(found.measurement, T_match_query=T))
@@ -107,7 +106,7 @@ async def test_a_rejected_loop_returns_once_the_map_says_where_to_look(kept_town
     assert events[1].details["model_version"] == "fake-1"
     assert events[1].details["thresholds"] == loop.evidence["thresholds"]
     # The map's pose is where registration starts, and no more: what else fits counts against it.
-    assert [decides for _, decides in geometry.asked] == [False]
+    assert [one.authority for one in geometry.asked] == [Authority.COMPETES]
     assert loop.evidence["recall"]["before"] == "LOW_OVERLAP" and loop.evidence["recall"]["map_version"] == 1
 
 

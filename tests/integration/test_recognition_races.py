@@ -66,11 +66,11 @@ async def test_the_loop_is_found_when_the_match_is_committed_after_the_search(wo
     similarities = []
 
     class CommitsAMeanwhile(FakeRecogniser):
-        def verify(self, query, match, similarity, config, near=None, *, near_decides=True, expected=None):
+        def verify(self, query, match, similarity, config, initial=None):
             if not similarities:
                 world.worker().run(lease_a)
             similarities.append(round(similarity, 3))
-            return super().verify(query, match, similarity, config, near)
+            return super().verify(query, match, similarity, config, initial)
 
     world.worker(CommitsAMeanwhile()).run(lease_c)
     assert await accepted(world) == [{"a", "c"}]
@@ -134,14 +134,14 @@ async def test_a_match_deleted_during_verification_makes_no_loop(world):
         world.worker().run(world.claim())
 
     class DeletesTheMatch(FakeRecogniser):
-        def verify(self, query, match, similarity, config, near=None, *, near_decides=True, expected=None):
+        def verify(self, query, match, similarity, config, initial=None):
             def delete(uow):
                 record = uow.submaps.get(TENANT, "town", "monday", "a")
                 uow.submaps.delete(TENANT, number=record.number)
                 uow.changes.record_removed(TENANT, 1, [record.number])
 
             world.context.transactions.write(delete).result()
-            return super().verify(query, match, similarity, config, near)
+            return super().verify(query, match, similarity, config, initial)
 
     world.worker(DeletesTheMatch()).run(world.claim())
     assert await accepted(world) == []

@@ -639,9 +639,9 @@ class NotingRecogniser(FakeRecogniser):
     def __init__(self):
         self.rules = []
 
-    def verify(self, query, match, similarity, config, near=None, *, near_decides=True, expected=None):
+    def verify(self, query, match, similarity, config, initial=None):
         self.rules.append((config.verification.min_score, config.verification.max_seen_through))
-        return super().verify(query, match, similarity, config, near)
+        return super().verify(query, match, similarity, config, initial)
 
 
 async def test_a_map_has_its_own_rules_for_loop_closures(world):

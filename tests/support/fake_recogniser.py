@@ -25,7 +25,7 @@ from revisit.core.errors import DataLoss, DegenerateCloud
 from revisit.core.geometry import se3
 from revisit.core.scan import Scan
 from revisit.core.submap import Submap
-from revisit.core.verification import PairVerdict
+from revisit.core.verification import Authority, InitialPose, PairVerdict
 from revisit.service.ports.recogniser import SubmapDescription
 from tests.support.verdicts import rejected, verified
 
@@ -126,23 +126,16 @@ class FakeRecogniser:
         return Mesh(corners, up, np.array([[0, 1, 2]], dtype=np.int32))
 
     def verify(
-        self,
-        query: bytes,
-        match: bytes,
-        similarity: float,
-        config: PipelineConfig,
-        near: np.ndarray | None = None,
-        *,
-        near_decides: bool = True,
-        expected: np.ndarray | None = None,
+        self, query: bytes, match: bytes, similarity: float, config: PipelineConfig, initial: InitialPose | None = None
     ) -> PairVerdict:
-        """Accepted where the descriptors nearly agree; the transform is 1 m along x, or `near`."""
+        """Accepted where the descriptors nearly agree; the transform is 1 m along x, or the initial pose."""
         if query.startswith(PLACED):
             return _verified_by_pose(query, match)
         agreement = float(np.frombuffer(query, dtype=np.float32) @ np.frombuffer(match, dtype=np.float32))
         T_match_query = np.eye(4)
         T_match_query[0, 3] = 1.0
-        T_match_query = T_match_query if near is None else near
+        if initial is not None and initial.authority is not Authority.HINT:
+            T_match_query = initial.T_match_query
         if agreement < ACCEPTED_FROM:
             return rejected()
         return verified(T_match_query, agreement, overlap=agreement)

@@ -9,16 +9,17 @@ from functools import partial
 import numpy as np
 
 from revisit.core.config import PipelineConfig
-from revisit.core.errors import DataLoss
 from revisit.core.geometry import se3
 from revisit.core.geometry.se3 import Matrix4
 from revisit.core.merge.evidence import MergeEvidence, loops_refusal, surfaces_refusal
-from revisit.core.pair_verdict import PairVerdict, RejectedLoop, RejectionReason, VerifiedLoop
+from revisit.core.pair_verdict import InitialPose, PairVerdict, RejectedLoop, RejectionReason, VerifiedLoop
 from revisit.service.domain.errors import Unavailable
 from revisit.service.domain.identity import TenantId
 from revisit.service.domain.records import SubmapRecord
 from revisit.service.failpoints import failpoint
 from revisit.service.features.graph.join_audit import JoinAudit
+from revisit.service.features.index.comparison import Comparison
+from revisit.service.features.index.place_memory import RecalledPlace
 from revisit.service.features.merging.reading import MergeOrder, MergeTask, read_merge, require_comparable
 from revisit.service.features.merging.rows import NOTHING_TO_MERGE, MergeCommit
 from revisit.service.features.merging.rules import (
@@ -29,7 +30,7 @@ from revisit.service.features.merging.rules import (
     track_loop,
 )
 from revisit.service.features.operations.progress import OperationCancelled, Progress
-from revisit.service.ports.blobs import NEURAL_MAP_BLOB, PLACE_BLOB
+from revisit.service.ports.blobs import NEURAL_MAP_BLOB
 from revisit.service.ports.job_context import JobContext
 from revisit.service.ports.job_queue import CANCELLED, Lease
 from revisit.service.ports.map_merger import AlignedMaps, MapMerger
@@ -54,7 +55,7 @@ class MapMerging:
     ) -> None:
         """`recogniser` verifies two places, `merger` compares two maps; `optimiser` solves each of them before."""
         self._context = context
-        self._recogniser = recogniser
+        self._comparison = Comparison(context.blobs, recogniser)
         self._merger = merger
         self._audit = JoinAudit(context, optimiser, merger)
 
@@ -136,20 +137,16 @@ class MapMerging:
             progress("VERIFY_LOOPS", done, len(near))
             match, query = task.target.submaps[one], task.source.submaps[other]
             expected = _expected(order, task, one, other)
-            verdict = self._verified(query, match, cosine, config, expected)
+            verdict = self._verified(query, RecalledPlace(match, cosine), config, expected)
             yield CrossingLoop(query, match, cosine, _within(order, verdict, expected))
 
     def _verified(
-        self, query: SubmapRecord, match: SubmapRecord, cosine: float, config: PipelineConfig, expected: Matrix4 | None
+        self, query: SubmapRecord, match: RecalledPlace, config: PipelineConfig, expected: Matrix4 | None
     ) -> PairVerdict:
         """The verdict of geometry on two places; the initial pose chooses among several alignments that fit."""
-        try:
-            places = [self._context.blobs.get(one.tenant, PLACE_BLOB, str(one.place_sha256)) for one in (query, match)]
-            verdict = self._recogniser.verify(places[0], places[1], cosine, config)
-            if _is_ambiguous(verdict) and expected is not None:
-                verdict = self._recogniser.verify(places[0], places[1], cosine, config, expected)
-        except DataLoss as error:
-            return RejectedLoop(RejectionReason.PLACE_LOST, message=error.message)
+        verdict = self._comparison.verify(query, match, config)
+        if _is_ambiguous(verdict) and expected is not None:
+            return self._comparison.verify(query, match, config, InitialPose(expected))
         return verdict
 
 

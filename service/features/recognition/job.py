@@ -14,8 +14,7 @@ import numpy as np
 
 from revisit.core.acceptance import Decided, LoopClaim, PredictedPoses, accept, verify_in_turn
 from revisit.core.config import PipelineConfig
-from revisit.core.geometry.se3 import Matrix4
-from revisit.core.pair_verdict import PairVerdict
+from revisit.core.pair_verdict import InitialPose, PairVerdict
 from revisit.core.submap import Submap
 from revisit.service.domain.identity import SubmapKey
 from revisit.service.domain.records import JobRecord, LoopRecord, SubmapRecord
@@ -25,11 +24,11 @@ from revisit.service.features.catalogue.maps import model_for_map
 from revisit.service.features.catalogue.storeys import comparable_sessions, storey_of
 from revisit.service.features.corrections.job import EarlyCorrections
 from revisit.service.features.deletion.rows import SUBMAP_DELETED
+from revisit.service.features.index.comparison import Comparison, require_same_model
 from revisit.service.features.index.own_drive import candidates_of
 from revisit.service.features.index.place_memory import PlaceMemory, Recall, RecalledPlace
 from revisit.service.features.ingest.rows import each_scan, load_submap, submap_source
 from revisit.service.features.loops.claims import drive_before, station
-from revisit.service.features.recognition.comparison import Comparison, require_same_model
 from revisit.service.features.recognition.rows import (
     DescriptionCommit,
     DescriptionTask,
@@ -159,8 +158,8 @@ class SubmapDescriptionJob:
         )
         known = {row: judged[one.number] for row, one in enumerate(recalled) if one.number in judged}
 
-        def verify(row: int, expected: Matrix4 | None) -> PairVerdict:
-            return self._comparison.verify(place, recall.places[row], config, expected=expected)
+        def verify(row: int, initial: InitialPose | None) -> PairVerdict:
+            return self._comparison.verify(place, recall.places[row], config, initial)
 
         verdicts = verify_in_turn(predicted, len(recalled), verify, known)
         judged.update({recalled[row].number: verdict for row, verdict in verdicts.items()})
@@ -193,10 +192,9 @@ class SubmapDescriptionJob:
             *((submap, one) for one in places),
         ]
 
-        def verify_near(row: int, near: Matrix4) -> PairVerdict:
+        def verify_near(row: int, near: InitialPose) -> PairVerdict:
             query, match = pairs[row]
-            asked = place if query is submap else self._comparison.place_of(query)
-            return self._comparison.verify(asked, match, config, near)
+            return self._comparison.verify(place if query is submap else query, match, config, near)
 
         return accept(new, before.drive, config, verify_near), before.loops
 

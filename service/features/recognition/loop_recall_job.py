@@ -16,7 +16,7 @@ import numpy as np
 
 from revisit.core.geometry import se3
 from revisit.core.geometry.se3 import Matrix4, pose_matrix, pose_row
-from revisit.core.pair_verdict import PairVerdict, RejectedLoop, RejectionReason, VerifiedLoop
+from revisit.core.pair_verdict import Authority, InitialPose, PairVerdict, RejectedLoop, RejectionReason, VerifiedLoop
 from revisit.service.domain.identity import TenantId
 from revisit.service.domain.policy import Policy
 from revisit.service.domain.records import LoopRecord, MapRecord, SubmapRecord
@@ -25,11 +25,11 @@ from revisit.service.failpoints import failpoint
 from revisit.service.features.corrections.job import EarlyCorrections
 from revisit.service.features.graph.map_frames import LoopInMap, MapFrames
 from revisit.service.features.graph.posting import optimise_soon
+from revisit.service.features.index.comparison import Comparison
 from revisit.service.features.index.place_memory import RecalledPlace
 from revisit.service.features.loops.claims import rules_of, verdict_evidence
 from revisit.service.features.loops.rows import Change, LoopStanding, change_loop, decided_by_person
 from revisit.service.features.operations.progress import OperationCancelled, Progress
-from revisit.service.features.recognition.comparison import Comparison
 from revisit.service.ports.job_context import JobContext
 from revisit.service.ports.job_queue import CANCELLED, Lease
 from revisit.service.ports.recogniser import PlaceRecogniser
@@ -110,9 +110,8 @@ class LoopRecallJob:
 
     def _recalled(self, loop: RecalledLoop) -> RecalledLoop:
         config, match = self._context.policy.for_map(loop.map), RecalledPlace(loop.match, loop.record.similarity)
-        place = self._comparison.place_of(loop.query)
-        verdict = self._comparison.verify(place, match, config, loop.T_match_query, near_decides=False)
-        return kept_near(loop, verdict)
+        initial = InitialPose(loop.T_match_query, Authority.COMPETES)
+        return kept_near(loop, self._comparison.verify(loop.query, match, config, initial))
 
 
 def loops_to_recall(

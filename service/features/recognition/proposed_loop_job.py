@@ -7,18 +7,17 @@ from functools import partial
 
 import numpy as np
 
-from revisit.core.geometry.se3 import Matrix4, pose_matrix, pose_row
-from revisit.core.pair_verdict import PairVerdict, RejectedLoop, VerifiedLoop
+from revisit.core.geometry.se3 import pose_matrix, pose_row
+from revisit.core.pair_verdict import InitialPose, PairVerdict, RejectedLoop, VerifiedLoop
 from revisit.service.domain.policy import Policy
 from revisit.service.domain.records import JobRecord, LoopRecord, MapRecord, SubmapRecord
 from revisit.service.domain.states import LoopEventKind, LoopState
 from revisit.service.features.corrections.job import EarlyCorrections
 from revisit.service.features.graph.posting import optimise_soon
+from revisit.service.features.index.comparison import Comparison
 from revisit.service.features.index.place_memory import RecalledPlace
 from revisit.service.features.loops.claims import rules_of, verdict_evidence
 from revisit.service.features.loops.rows import Change, change_loop
-from revisit.service.features.recognition.comparison import Comparison
-from revisit.service.ports.blobs import PLACE_BLOB
 from revisit.service.ports.job_context import JobContext
 from revisit.service.ports.job_queue import Lease
 from revisit.service.ports.recogniser import PlaceRecogniser
@@ -31,12 +30,12 @@ NO_LONGER_PROPOSED = {"outcome": "the loop was deleted, or somebody decided on i
 
 @dataclass(frozen=True)
 class ProposedPair:
-    """The submaps of a proposed loop, how alike they are, and T_match_query `near`, where somebody named one."""
+    """The submaps of a proposed loop, how alike they are, and the pose that somebody named, if so."""
 
     map: MapRecord
     query: SubmapRecord
     match: RecalledPlace
-    near: Matrix4 | None
+    initial: InitialPose | None
 
 
 @dataclass(frozen=True)
@@ -94,8 +93,7 @@ class ProposedLoopJob:
         pair = context.transactions.read(partial(_proposed_pair, job=lease.job)).result()
         verdict = None
         if pair is not None:
-            place = context.blobs.get(pair.query.tenant, PLACE_BLOB, str(pair.query.place_sha256))
-            verdict = self._comparison.verify(place, pair.match, context.policy.for_map(pair.map), pair.near)
+            verdict = self._comparison.verify(pair.query, pair.match, context.policy.for_map(pair.map), pair.initial)
         now_ns = context.clock.wall_ns()
         commit = VerdictCommit(lease, context.policy, pair, verdict, now_ns)
         context.transactions.write(commit).result()
@@ -110,9 +108,9 @@ def _proposed_pair(uow: UnitOfWork, job: JobRecord) -> ProposedPair | None:
         return None
     submaps = uow.submaps.numbered(job.tenant, [loop.query_number, loop.match_number])
     query, match = submaps[loop.query_number], submaps[loop.match_number]
-    near = None if loop.T_match_query is None else np.array(pose_matrix(loop.T_match_query))
+    initial = None if loop.T_match_query is None else InitialPose(np.array(pose_matrix(loop.T_match_query)))
     return ProposedPair(
-        require_map(uow, job.tenant, loop.map_id), query, RecalledPlace(match, _similarity(query, match)), near
+        require_map(uow, job.tenant, loop.map_id), query, RecalledPlace(match, _similarity(query, match)), initial
     )
 
 

@@ -23,10 +23,10 @@ from revisit.service.features.index.answers import (
     localization_to_json,
     search_result_to_json,
 )
+from revisit.service.features.index.comparison import Comparison, require_same_model
 from revisit.service.features.index.place_memory import PlaceMemory, vector_filter
 from revisit.service.features.ingest.clouds import QUERY_NONCE_BYTES, unpack_cloud
 from revisit.service.features.loops.claims import evidence_of, station
-from revisit.service.features.recognition.comparison import Comparison, require_same_model
 from revisit.service.features.recognition.rows import JudgedPlace
 from revisit.service.features.recognition.stations import stations_in_map
 from revisit.service.features.resources.views import submap_key

@@ -18,7 +18,15 @@ from revisit.core.model_bundle import load_packaged_models
 from revisit.core.pipeline import describe
 from revisit.core.place import Place
 from revisit.core.scan_disagreement import ScanDisagreement
-from revisit.core.verification import RejectedLoop, RejectionReason, VerifiedLoop, loop_score, verify
+from revisit.core.verification import (
+    Authority,
+    InitialPose,
+    RejectedLoop,
+    RejectionReason,
+    VerifiedLoop,
+    loop_score,
+    verify,
+)
 from revisit.core.verification.verdict import frames_covariance, systematic_covariance
 from revisit.evaluation.cutting import cut, load_submap
 from revisit.evaluation.perturbations import Perturbation, turned
@@ -404,24 +412,24 @@ def test_a_pose_given_up_early_counts_as_the_worst_evidence() -> None:
 def test_a_start_that_is_named_decides_among_equal_houses_only_where_it_may() -> None:
     places = houses_along_a_street(1, 0.0), houses_along_a_street(2, 3.0)
     near = se3.from_yaw(0.0, (-3.0, 0.0, 0.0))
-    assert isinstance(verify(*places, 0.9, VERIFICATION, near), VerifiedLoop)
-    verdict = verify(*places, 0.9, VERIFICATION, near, near_decides=False)
+    assert isinstance(verify(*places, 0.9, VERIFICATION, InitialPose(near)), VerifiedLoop)
+    verdict = verify(*places, 0.9, VERIFICATION, InitialPose(near, Authority.COMPETES))
     assert isinstance(verdict, RejectedLoop) and verdict.reason is RejectionReason.AMBIGUOUS
     assert verdict.measurement is not None and abs(verdict.measurement.T_match_query[0, 3] + 3.0) < 0.3
 
 
 @pytest.mark.parametrize("matched", [1, 2], ids=["the same yard", "another yard"])
 def test_a_wrong_guess_changes_nothing(matched) -> None:
-    places, wrong = (place(1), place(matched)), se3.from_yaw(1.5, (15.0, 9.0, 0.0))
-    guessed, without = verify(*places, 0.9, VERIFICATION, expected=wrong), verify(*places, 0.9, VERIFICATION)
+    wrong = InitialPose(se3.from_yaw(1.5, (15.0, 9.0, 0.0)), Authority.HINT)
+    guessed, without = (verify(place(1), place(matched), 0.9, VERIFICATION, one) for one in (wrong, None))
     assert type(guessed) is type(without)
     assert guessed.measurement is not None and without.measurement is not None
     np.testing.assert_array_equal(guessed.measurement.T_match_query, without.measurement.T_match_query)
 
 
 def test_a_right_guess_gives_the_loop_that_is_found_without_it() -> None:
-    near = se3.from_yaw(0.03, (0.4, -0.3, 0.1))
-    guessed, without = (verify(place(1), place(1), 0.9, VERIFICATION, expected=one) for one in (near, None))
+    near = InitialPose(se3.from_yaw(0.03, (0.4, -0.3, 0.1)), Authority.HINT)
+    guessed, without = (verify(place(1), place(1), 0.9, VERIFICATION, one) for one in (near, None))
     assert isinstance(guessed, VerifiedLoop) and isinstance(without, VerifiedLoop)
     np.testing.assert_allclose(guessed.measurement.T_match_query, without.measurement.T_match_query, atol=5e-3)
     assert guessed.measurement.score == pytest.approx(without.measurement.score, abs=0.01)
@@ -429,5 +437,5 @@ def test_a_right_guess_gives_the_loop_that_is_found_without_it() -> None:
 
 def test_a_guess_decides_nothing_among_equal_houses() -> None:
     places = houses_along_a_street(1, 0.0), houses_along_a_street(2, 3.0)
-    verdict = verify(*places, 0.9, VERIFICATION, expected=se3.from_yaw(0.0, (-3.0, 0.0, 0.0)))
+    verdict = verify(*places, 0.9, VERIFICATION, InitialPose(se3.from_yaw(0.0, (-3.0, 0.0, 0.0)), Authority.HINT))
     assert isinstance(verdict, RejectedLoop) and verdict.reason is RejectionReason.AMBIGUOUS

@@ -30,7 +30,7 @@ class WarmedUp(FakeRecogniser):
             raise self._error
         return super().describe(submap, config)
 
-    def verify(self, query, match, similarity, config, near=None, *, near_decides=True, expected=None):
+    def verify(self, query, match, similarity, config, initial=None):
         self.asked.append(("verify", query == match))
 
 

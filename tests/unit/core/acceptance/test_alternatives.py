@@ -11,7 +11,7 @@ from revisit.core.acceptance.consistency import inconsistent
 from revisit.core.acceptance.support import with_support
 from revisit.core.config import PipelineConfig
 from revisit.core.geometry import se3
-from revisit.core.verification import PairVerdict
+from revisit.core.verification import InitialPose, PairVerdict
 from tests.support.claims import along_x, at, doubted, pair
 from tests.support.verdicts import verified
 
@@ -101,8 +101,8 @@ def test_the_best_candidate_of_a_spot_speaks_for_it() -> None:
     assert not_standing_out([explaining(0.35, 0.0, None), there, explaining(0.45, 80.0)], CONFIG) == {}
 
 
-def near(_row: int, pose: np.ndarray) -> PairVerdict:
-    return verified(pose)
+def near(_row: int, pose: InitialPose) -> PairVerdict:
+    return verified(pose.T_match_query)
 
 
 @pytest.mark.parametrize(("doubt", "decided"), [

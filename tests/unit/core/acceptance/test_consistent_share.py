@@ -12,7 +12,7 @@ from revisit.core.acceptance.consistent_share import EvidentShare, evident_share
 from revisit.core.acceptance.support import with_support, without_lost_support
 from revisit.core.config import PipelineConfig
 from revisit.core.geometry import se3
-from revisit.core.verification import PairVerdict
+from revisit.core.verification import InitialPose, PairVerdict
 from tests.support.claims import STRIDE_M, along_x, at, doubted, pair
 from tests.support.verdicts import verified
 
@@ -28,8 +28,8 @@ def row(reason: str, count: int, **more: float) -> list[LoopClaim]:
     return [loop(10.0 + STRIDE_M * place, reason, **more) for place in range(count)]
 
 
-def near(_row: int, pose: np.ndarray) -> PairVerdict:
-    return verified(pose, overlap=0.5)
+def near(_row: int, pose: InitialPose) -> PairVerdict:
+    return verified(pose.T_match_query, overlap=0.5)
 
 
 @pytest.mark.parametrize("reason", ["AMBIGUOUS", "LOW_SCORE"])

@@ -109,8 +109,8 @@ def test_candidates_are_verified_in_turn_from_what_the_others_predict_until_enou
     stations = [Station(1, number, along_x(STRIDE_M * number)) for number in (4, 5, 6, 7)]
     asked = []
 
-    def verify(row: int, expected):
-        asked.append((row, expected is not None))
+    def verify(row: int, initial):
+        asked.append((row, initial is not None))
         return seen_at(22.0, stations[row].ordinal)
 
     verdicts = verify_in_turn(PredictedPoses(stations, CONFIG), 4, verify, {1: seen_at(22.0, 5)})

@@ -9,7 +9,7 @@ import numpy as np
 from revisit.core.acceptance import Doubt, LoopClaim, Support
 from revisit.core.acceptance.support import with_support, without_lost_support
 from revisit.core.config import VerificationConfig
-from revisit.core.verification import PairVerdict
+from revisit.core.verification import InitialPose, PairVerdict
 from tests.support.claims import STRIDE_M, along_x, at, doubted, pair
 from tests.support.verdicts import verified
 
@@ -63,7 +63,7 @@ def test_loops_that_stand_out_from_no_other_place_support_none() -> None:
     by_themselves = [loop(place) for place in range(3)]
     alike = [doubted(one, Doubt.PERCEPTUAL_ALIAS) for one in by_themselves]
 
-    def near(_row: int, _pose: np.ndarray) -> PairVerdict:
+    def near(_row: int, _pose: InitialPose) -> PairVerdict:
         return verified(along_x(0.0))
 
     assert with_support([*alike, asked], CONFIG, STRIDE_M, near) == {}
@@ -75,8 +75,8 @@ def test_a_loop_with_support_keeps_the_doubts_that_support_overrules_and_loses_t
     asked = pair(at(15.0, 2), at(15.0, 1), [along_x(0.0)], overlap=0.5)
     asked = doubted(asked, Doubt.PAIRWISE_INCONSISTENT, Doubt.SUPPORT_LOST)
 
-    def near(_row: int, pose: np.ndarray) -> PairVerdict:
-        return verified(pose)
+    def near(_row: int, pose: InitialPose) -> PairVerdict:
+        return verified(pose.T_match_query)
 
     decided = with_support([*[loop(place) for place in range(3)], asked], CONFIG, STRIDE_M, near)[3]
     assert decided.accepted and decided.doubts.keys() == {Doubt.PAIRWISE_INCONSISTENT}

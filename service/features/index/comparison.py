@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import structlog
 
 from revisit.core.config import PipelineConfig
 from revisit.core.errors import DataLoss, DescriptorModelMismatch
-from revisit.core.geometry.se3 import Matrix4
-from revisit.core.pair_verdict import PairVerdict, RejectedLoop, RejectionReason
+from revisit.core.pair_verdict import InitialPose, PairVerdict, RejectedLoop, RejectionReason
 from revisit.service.domain.records import MapRecord, SubmapRecord
 from revisit.service.features.catalogue.maps import model_for_map
 from revisit.service.features.index.place_memory import RecalledPlace
@@ -18,10 +15,6 @@ from revisit.service.ports.blobs import PLACE_BLOB, BlobStore
 from revisit.service.ports.recogniser import PlaceRecogniser
 
 log = structlog.get_logger(__name__)
-
-LOST = RejectedLoop(RejectionReason.PLACE_LOST)
-"""The verdict on a pair of which a place is damaged."""
-
 
 class Comparison:
     """Verifies pairs; a damaged place is a verdict, not an error."""
@@ -33,34 +26,22 @@ class Comparison:
 
     def verify(
         self,
-        place: bytes | None,
-        recalled: RecalledPlace,
+        query: SubmapRecord | bytes,
+        match: RecalledPlace,
         config: PipelineConfig,
-        near: Matrix4 | None = None,
-        *,
-        near_decides: bool = True,
-        expected: Matrix4 | None = None,
+        initial: InitialPose | None = None,
     ) -> PairVerdict:
-        """The verdict on a query's `place` (None: damaged) and a recalled one; poses as `PlaceRecogniser.verify`."""
-        submap = recalled.submap
-        if place is None:
-            return LOST
+        """The verdict on a query, a described submap or a place, and a recalled place."""
         try:
-            blob = self._blobs.get(submap.tenant, PLACE_BLOB, str(submap.place_sha256))
-            return self._recogniser.verify(
-                place, blob, recalled.similarity, config, near, near_decides=near_decides, expected=expected
-            )
+            asked = query if isinstance(query, bytes) else self._place(query)
+            return self._recogniser.verify(asked, self._place(match.submap), match.similarity, config, initial)
         except DataLoss as error:
-            log.error("place_lost", submap=submap_key(submap).name, reason=error.message)
-            return replace(LOST, message=error.message)
+            pair = [submap_key(one).name for one in (query, match.submap) if isinstance(one, SubmapRecord)]
+            log.error("place_lost", submaps=pair, reason=error.message)
+            return RejectedLoop(RejectionReason.PLACE_LOST, message=error.message)
 
-    def place_of(self, submap: SubmapRecord) -> bytes | None:
-        """The place of a described submap; None where it is damaged."""
-        try:
-            return self._blobs.get(submap.tenant, PLACE_BLOB, str(submap.place_sha256))
-        except DataLoss as error:
-            log.error("place_lost", submap=submap_key(submap).name, reason=error.message)
-            return None
+    def _place(self, submap: SubmapRecord) -> bytes:
+        return self._blobs.get(submap.tenant, PLACE_BLOB, str(submap.place_sha256))
 
 
 def require_same_model(record: MapRecord, recogniser: PlaceRecogniser) -> None:
