@@ -17,7 +17,6 @@ from revisit.service.domain.policy import Policy
 from revisit.service.domain.states import OperationKind
 from revisit.service.features.catalogue.job import MeshMaking
 from revisit.service.features.corrections.job import EarlyCorrections
-from revisit.service.features.deletion.blob_references import BlobCollector
 from revisit.service.features.deletion.erasure import Erasure
 from revisit.service.features.index.keeping import IndexHealth, IndexKeeper
 from revisit.service.features.index.place_memory import PlaceMemory
@@ -83,7 +82,7 @@ class ServiceContext:
     @cached_property
     def erasure(self) -> Erasure:
         """The eraser of deleted sessions and maps."""
-        return Erasure(self.storage, BlobCollector(self.storage), self.clock)
+        return Erasure(self.storage, self.clock)
 
     @cached_property
     def quota(self) -> StorageQuota | None:

@@ -22,7 +22,6 @@ from revisit.service.features.catalogue.robots import Robots
 from revisit.service.features.catalogue.sessions import Sessions
 from revisit.service.features.catalogue.submaps import Submaps
 from revisit.service.features.corrections.calls import Corrections
-from revisit.service.features.deletion.blob_references import BlobCollector
 from revisit.service.features.events.calls import Events
 from revisit.service.features.ingest.calls import Scans
 from revisit.service.features.ingest.posting import SubmapPosting
@@ -37,6 +36,7 @@ from revisit.service.features.operations.dead_letters import DeadLetters
 from revisit.service.features.operations.worker_answers import WorkerAnswers
 from revisit.service.features.optimisation.calls import MapVersions
 from revisit.service.features.publishing.calls import MapFiles
+from revisit.service.features.resources.call_context import CallContext
 from revisit.service.features.resources.paging import Lists, PageTokens
 from revisit.service.features.search.calls import Searches
 from revisit.service.features.tiles.calls import MapTiles
@@ -79,39 +79,39 @@ class UseCases:
     @classmethod
     def over(cls, of: ServiceContext, version: str, rules: AccessRules = AccessRules()) -> UseCases:
         """All use cases of an installation; `version` is the product's."""
-        storage, clock, policy, streams, decoder = of.storage, of.clock, of.policy, of.open_streams, of.decoder
-        backlog, lists = of.backlog, Lists(storage, of.in_flight, PageTokens(of.secret))
-        admission = Admission(of.stopping, of.disk, of.in_flight, backlog, of.quota)
-        jobs, collector = JobPosting(backlog, clock, policy), BlobCollector(storage)
-        rendering = Rendering(of.in_flight)
-        tail, writes = EventTail(storage, admission), ReadYourWrites(storage, admission)
-        operations, audit = Operations(storage, lists, admission, clock), AuditLog(storage, clock)
-        answers = WorkerAnswers(storage, admission, jobs, operations)
-        meshes = SubmapMeshes(storage, admission, answers)
+        admission = Admission(of.stopping, of.disk, of.in_flight, of.backlog, of.quota)
+        lists, jobs = (
+            Lists(of.storage, of.in_flight, PageTokens(of.secret)),
+            JobPosting(of.backlog, of.clock, of.policy),
+        )
+        context = CallContext(of.storage, lists, admission, jobs, of.clock, of.policy)
+        operations, audit, rendering = Operations(context), AuditLog(of.storage, of.clock), Rendering(of.in_flight)
+        tail, writes = EventTail(of.storage, admission), ReadYourWrites(of.storage, admission)
+        answers = WorkerAnswers(context, operations)
         return cls(
-            maps=Maps(storage, lists, admission, of.erasure, of.index, streams, clock, policy),
-            robots=Robots(storage, lists, admission, clock),
-            sessions=Sessions(storage, lists, admission, jobs, collector, of.erasure, streams, clock, policy),
-            scans=Scans(storage, admission, decoder, jobs, of.in_flight, streams, clock, policy),
-            posting=SubmapPosting(storage, admission, decoder, jobs, clock),
-            submaps=Submaps(storage, lists, admission, collector, rendering, clock, policy, meshes),
-            searches=Searches(storage, admission, decoder, of.memory, answers, writes),
-            loops=Loops(storage, lists, admission, tail, writes),
-            loop_keypoints=LoopKeypointReading(storage, admission, policy),
+            maps=Maps(context, of.erasure, of.index, of.open_streams),
+            robots=Robots(context),
+            sessions=Sessions(context, of.erasure, of.open_streams),
+            scans=Scans(context, of.decoder, of.in_flight, of.open_streams),
+            posting=SubmapPosting(context, of.decoder),
+            submaps=Submaps(context, rendering, SubmapMeshes(context, answers)),
+            searches=Searches(context, of.decoder, of.memory, answers, writes),
+            loops=Loops(context, tail, writes),
+            loop_keypoints=LoopKeypointReading(context),
             operations=operations,
-            events=Events(storage, admission, tail),
-            webhooks=Webhooks(storage, lists, admission, clock, policy.webhook_private_networks),
-            map_versions=MapVersions(storage, lists, admission, clock, policy),
-            map_merges=MapMerges(storage, lists, admission, jobs, collector, of.erasure, clock),
-            map_tiles=MapTiles(storage, lists, admission, jobs, operations, rendering, policy),
-            map_files=MapFiles(storage, lists, admission, jobs, collector, clock),
-            corrections=Corrections(storage, admission, tail),
-            loop_decisions=LoopDecisions(storage, admission, lists, jobs, clock, policy),
-            dead_letters=DeadLetters(storage, admission, backlog, policy),
-            system=System(storage, admission, of.disk, of.index_health, version),
+            events=Events(context, tail),
+            webhooks=Webhooks(context),
+            map_versions=MapVersions(context),
+            map_merges=MapMerges(context, of.erasure),
+            map_tiles=MapTiles(context, operations, rendering),
+            map_files=MapFiles(context),
+            corrections=Corrections(context, tail),
+            loop_decisions=LoopDecisions(context),
+            dead_letters=DeadLetters(context, of.backlog),
+            system=System(context, of.disk, of.index_health, version),
             admission=admission,
-            access=Access(storage, audit, clock, rules, of.pace),
-            keys=ApiKeys(storage, clock),
+            access=Access(of.storage, audit, of.clock, rules, of.pace),
+            keys=ApiKeys(of.storage, of.clock),
             audit=audit,
             budget=of.budget,
         )

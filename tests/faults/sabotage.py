@@ -85,7 +85,7 @@ def _run_again(post):
             uow.jobs.replace(replace(uow.jobs.get(tenant, answer.operation.operation_id), state="QUEUED"))
 
         if answer.replay:
-            await posting._storage.write(requeue)
+            await posting._context.storage.write(requeue)
         return answer
 
     return posted

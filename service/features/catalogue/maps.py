@@ -7,11 +7,9 @@ from functools import partial
 
 from revisit.core.config import PipelineConfig, Profile
 from revisit.core.errors import BadField
-from revisit.service.capacity.admission import Admission
 from revisit.service.domain import limits
 from revisit.service.domain.identity import TenantId, content_hash, validated_id, validated_label
 from revisit.service.domain.loop_policy import LoopPolicy
-from revisit.service.domain.policy import Policy
 from revisit.service.domain.records import MapRecord
 from revisit.service.failpoints import failpoint
 from revisit.service.features.audit import calls as audit
@@ -19,11 +17,11 @@ from revisit.service.features.audit.calls import AuditEntry
 from revisit.service.features.deletion.erasure import Erasure
 from revisit.service.features.deletion.rows import mark_map
 from revisit.service.features.ingest.open_streams import OpenStreams
-from revisit.service.features.resources.paging import Lists, Page, PageRequest
-from revisit.service.ports.clock import Clock
+from revisit.service.features.resources.call_context import CallContext
+from revisit.service.features.resources.paging import Page, PageRequest
 from revisit.service.ports.index import VectorIndex
 from revisit.service.ports.recogniser import PlaceRecogniser
-from revisit.service.ports.storage import Storage, require_deleted, require_map, require_same_content
+from revisit.service.ports.storage import require_deleted, require_map, require_same_content
 from revisit.service.ports.transactions import UnitOfWork
 
 
@@ -77,26 +75,12 @@ class CreatedMap:
 class Maps:
     """Create, get, list and delete maps."""
 
-    def __init__(
-        self,
-        storage: Storage,
-        lists: Lists,
-        admission: Admission,
-        erasure: Erasure,
-        index: VectorIndex,
-        streams: OpenStreams,
-        clock: Clock,
-        policy: Policy,
-    ) -> None:
+    def __init__(self, context: CallContext, erasure: Erasure, index: VectorIndex, streams: OpenStreams) -> None:
         """`index` forgets a deleted map, its `streams` end, and its rows and blobs go through `erasure`."""
-        self._storage = storage
-        self._lists = lists
-        self._admission = admission
+        self._context = context
         self._erasure = erasure
         self._index = index
         self._streams = streams
-        self._clock = clock
-        self._policy = policy
 
     async def create(self, tenant: TenantId, command: CreateMap) -> CreatedMap:
         """Create a map.
@@ -104,9 +88,9 @@ class Maps:
         Raises BadField; AlreadyExists where the id is taken by other content; StillDeleting where a map of this id was
         deleted and is not gone yet; Draining, RateLimited.
         """
-        self._admission.charge_creation(tenant)
+        self._context.admission.charge_creation(tenant)
         record = self._record(tenant, command)
-        return await self._storage.write(partial(self._add, record=record))
+        return await self._context.storage.write(partial(self._add, record=record))
 
     def _add(self, uow: UnitOfWork, record: MapRecord) -> CreatedMap:
         known = uow.maps.get(record.tenant, record.map_id)
@@ -118,20 +102,20 @@ class Maps:
 
     async def get(self, tenant: TenantId, map_id: str) -> MapView:
         """Raises NotFound."""
-        return await self._storage.read(lambda uow: self._view(uow, require_map(uow, tenant, map_id)))
+        return await self._context.storage.read(lambda uow: self._view(uow, require_map(uow, tenant, map_id)))
 
     async def list(self, tenant: TenantId, page: PageRequest) -> Page[MapView]:
         """The tenant's maps, oldest first."""
-        return await self._lists.page(
+        return await self._context.lists.page(
             tenant, page, lambda uow, after, limit: uow.maps.find(tenant, after=after, limit=limit), self._view
         )
 
     async def delete(self, tenant: TenantId, map_id: str) -> None:
         """Delete a map with everything in it, as `Sessions.delete` does. Raises NotFound, Draining."""
-        self._admission.require_running()
+        self._context.admission.require_running()
         entry = audit.noted(tenant, "map_deleted", f"maps/{map_id}")
-        work = partial(_delete, map_id=map_id, entry=entry, at_ns=self._clock.wall_ns())
-        number = await self._storage.write(work)
+        work = partial(_delete, map_id=map_id, entry=entry, at_ns=self._context.clock.wall_ns())
+        number = await self._context.storage.write(work)
         failpoint("delete.after_mark")
         self._streams.end(tenant, map_id)
         self._index.drop(number)
@@ -162,11 +146,11 @@ class Maps:
             min_overlap=own.min_overlap,
             max_seen_through=own.max_seen_through,
             model_version=None,
-            created_at_ns=self._clock.wall_ns(),
+            created_at_ns=self._context.clock.wall_ns(),
         )
 
     def _view(self, uow: UnitOfWork, record: MapRecord) -> MapView:
-        config = self._policy.for_map(record)
+        config = self._context.policy.for_map(record)
         return MapView(
             map_id=record.map_id,
             display_name=record.display_name,

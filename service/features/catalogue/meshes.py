@@ -6,7 +6,6 @@ import asyncio
 from dataclasses import asdict
 from typing import Any
 
-from revisit.service.capacity.admission import Admission
 from revisit.service.capacity.limits import MESH_POINTS
 from revisit.service.domain import limits
 from revisit.service.domain.identity import SubmapKey, TenantId
@@ -14,26 +13,25 @@ from revisit.service.domain.states import OperationKind
 from revisit.service.features.catalogue.downloads import Room
 from revisit.service.features.catalogue.job import MESH_NONCE_BYTES
 from revisit.service.features.operations.worker_answers import WorkerAnswers
+from revisit.service.features.resources.call_context import CallContext
 from revisit.service.ports.blobs import MESH_BLOB
-from revisit.service.ports.storage import Storage
 
 
 class SubmapMeshes:
     """`Meshes` by the workers."""
 
-    def __init__(self, storage: Storage, admission: Admission, answers: WorkerAnswers) -> None:
-        """Files come through the blobs of `storage`."""
-        self._storage = storage
-        self._admission = admission
+    def __init__(self, context: CallContext, answers: WorkerAnswers) -> None:
+        """`answers` asks a worker."""
+        self._context = context
         self._answers = answers
 
     async def file(self, tenant: TenantId, key: SubmapKey, extension: str, room: Room) -> bytes:
         """See `Meshes`. Raises also RateLimited, WorkersBusy, StorageFull, Draining."""
-        self._admission.require_storage()
-        self._admission.charge_call(tenant, MESH_POINTS)
+        self._context.admission.require_storage()
+        self._context.admission.charge_call(tenant, MESH_POINTS)
 
         def discard(result: dict[str, Any]) -> None:
-            self._storage.blobs.delete(tenant, MESH_BLOB, result["sha256"])
+            self._context.storage.blobs.delete(tenant, MESH_BLOB, result["sha256"])
 
         payload = {**asdict(key), "format": extension}
         made = await self._answers.answer(
@@ -41,7 +39,7 @@ class SubmapMeshes:
         )
         try:
             await room(int(made["bytes"]))
-            blob = await asyncio.to_thread(self._storage.blobs.get, tenant, MESH_BLOB, made["sha256"])
+            blob = await asyncio.to_thread(self._context.storage.blobs.get, tenant, MESH_BLOB, made["sha256"])
         finally:
             await asyncio.shield(asyncio.to_thread(discard, made))
         return blob[MESH_NONCE_BYTES:]

@@ -5,12 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import partial
 
-from revisit.service.capacity.admission import Admission
 from revisit.service.domain.identity import TenantId, content_hash, validated_id, validated_label
 from revisit.service.domain.records import RobotRecord
-from revisit.service.features.resources.paging import Lists, Page, PageRequest
-from revisit.service.ports.clock import Clock
-from revisit.service.ports.storage import Storage, require_robot, require_same_content
+from revisit.service.features.resources.call_context import CallContext
+from revisit.service.features.resources.paging import Page, PageRequest
+from revisit.service.ports.storage import require_robot, require_same_content
 from revisit.service.ports.transactions import UnitOfWork
 
 
@@ -42,35 +41,32 @@ class CreatedRobot:
 class Robots:
     """Create, get and list robots."""
 
-    def __init__(self, storage: Storage, lists: Lists, admission: Admission, clock: Clock) -> None:
-        """Robots are kept in `storage`, and listed by `lists`."""
-        self._lists = lists
-        self._storage = storage
-        self._admission = admission
-        self._clock = clock
+    def __init__(self, context: CallContext) -> None:
+        """Robots are kept in the storage of the context."""
+        self._context = context
 
     async def create(self, tenant: TenantId, command: CreateRobot) -> CreatedRobot:
         """Create a robot.
 
         Raises BadField; AlreadyExists where the id is taken by other content; Draining, RateLimited.
         """
-        self._admission.charge_creation(tenant)
+        self._context.admission.charge_creation(tenant)
         record = RobotRecord(
             tenant=tenant,
             robot_id=validated_id(command.robot_id, "robot_id"),
             content_hash=content_hash([validated_label(command.display_name, "display_name")]),
             display_name=command.display_name,
-            created_at_ns=self._clock.wall_ns(),
+            created_at_ns=self._context.clock.wall_ns(),
         )
-        return await self._storage.write(partial(_add, record=record))
+        return await self._context.storage.write(partial(_add, record=record))
 
     async def get(self, tenant: TenantId, robot_id: str) -> RobotView:
         """Raises NotFound."""
-        return _view(await self._storage.read(partial(require_robot, tenant=tenant, robot_id=robot_id)))
+        return _view(await self._context.storage.read(partial(require_robot, tenant=tenant, robot_id=robot_id)))
 
     async def list(self, tenant: TenantId, page: PageRequest) -> Page[RobotView]:
         """The tenant's robots, oldest first."""
-        return await self._lists.page(
+        return await self._context.lists.page(
             tenant,
             page,
             lambda uow, after, limit: uow.robots.find(tenant, after=after, limit=limit),

@@ -7,8 +7,6 @@ from functools import partial
 from typing import Any
 
 from revisit.core.sanity.finding import LIKELY_CAUSES
-from revisit.service.capacity.admission import Admission
-from revisit.service.capacity.backlog import JobPosting
 from revisit.service.domain.identity import (
     SessionKey,
     TenantId,
@@ -16,7 +14,6 @@ from revisit.service.domain.identity import (
     validated_detail,
     validated_id,
 )
-from revisit.service.domain.policy import Policy
 from revisit.service.domain.records import SessionDetails, SessionRecord
 from revisit.service.domain.states import SessionState
 from revisit.service.failpoints import failpoint
@@ -29,10 +26,9 @@ from revisit.service.features.deletion.erasure import Erasure
 from revisit.service.features.deletion.rows import mark_session
 from revisit.service.features.ingest.open_streams import OpenStreams
 from revisit.service.features.ingest.rules import add_window_submap, remainder
-from revisit.service.features.resources.paging import Lists, Page, PageRequest
-from revisit.service.ports.clock import Clock
+from revisit.service.features.resources.call_context import CallContext
+from revisit.service.features.resources.paging import Page, PageRequest
 from revisit.service.ports.storage import (
-    Storage,
     require_deleted,
     require_map,
     require_robot,
@@ -95,31 +91,12 @@ class CreatedSession:
 class Sessions:
     """Create, get, list, finish and delete sessions."""
 
-    def __init__(
-        self,
-        storage: Storage,
-        lists: Lists,
-        admission: Admission,
-        jobs: JobPosting,
-        collector: BlobCollector,
-        erasure: Erasure,
-        streams: OpenStreams,
-        clock: Clock,
-        policy: Policy,
-    ) -> None:
-        """The last submap of a finished session is queued through `jobs`.
-
-        A deleted one goes through `erasure`, and its `streams` end.
-        """
-        self._storage = storage
-        self._lists = lists
-        self._admission = admission
-        self._jobs = jobs
-        self._collector = collector
+    def __init__(self, context: CallContext, erasure: Erasure, streams: OpenStreams) -> None:
+        """A deleted session goes through `erasure`, and its `streams` end."""
+        self._context = context
+        self._collector = BlobCollector(context.storage)
         self._erasure = erasure
         self._streams = streams
-        self._clock = clock
-        self._policy = policy
 
     async def create(self, tenant: TenantId, command: CreateSession) -> CreatedSession:
         """Create a session.
@@ -127,35 +104,35 @@ class Sessions:
         Raises BadField; NotFound for map or robot; AlreadyExists for other content; StillDeleting where a session of
         this id was deleted and is not gone yet; Draining, RateLimited.
         """
-        self._admission.charge_creation(tenant)
+        self._context.admission.charge_creation(tenant)
         record = self._record(tenant, command)
-        return await self._storage.write(partial(_add, record=record))
+        return await self._context.storage.write(partial(_add, record=record))
 
     async def get(self, tenant: TenantId, key: SessionKey) -> SessionView:
         """Raises NotFound."""
-        return await self._storage.read(lambda uow: self._whole(uow, require_session(uow, tenant, key)))
+        return await self._context.storage.read(lambda uow: self._whole(uow, require_session(uow, tenant, key)))
 
     async def list(self, tenant: TenantId, map_id: str, page: PageRequest) -> Page[SessionView]:
         """The sessions of a map, oldest first. Raises NotFound for the map."""
-        return await self._lists.page(tenant, page, partial(_of_map, tenant=tenant, map_id=map_id), _view)
+        return await self._context.lists.page(tenant, page, partial(_of_map, tenant=tenant, map_id=map_id), _view)
 
     async def finish(self, tenant: TenantId, key: SessionKey) -> SessionView:
         """Close the session; the scans of its last, shorter window become a submap. Again: no effect.
 
         Raises NotFound, WorkersBusy, Draining.
         """
-        self._admission.require_running()
-        closed = await self._storage.write(partial(self._finish, tenant=tenant, key=key))
+        self._context.admission.require_running()
+        closed = await self._context.storage.write(partial(self._finish, tenant=tenant, key=key))
         failpoint("session.after_finish")
         return closed
 
     def _finish(self, uow: UnitOfWork, tenant: TenantId, key: SessionKey) -> SessionView:
-        session, now_ns = require_session(uow, tenant, key), self._clock.wall_ns()
+        session, now_ns = require_session(uow, tenant, key), self._context.clock.wall_ns()
         if session.state == SessionState.FINISHED:
             return self._whole(uow, session)
         rest = remainder(session)
         if rest is not None:
-            _, session = add_window_submap(uow, self._jobs, session, rest, now_ns)
+            _, session = add_window_submap(uow, self._context.jobs, session, rest, now_ns)
         finished = replace(session, state=SessionState.FINISHED.value, finished_at_ns=now_ns)
         uow.sessions.replace(finished)
         return self._whole(uow, finished)
@@ -166,9 +143,11 @@ class Sessions:
         Nobody sees anything of it from the commit on. Its id is free again once its rows are gone, which a large
         session takes longer for than this call (`erasure.AWAITED_S`). Raises NotFound, Draining.
         """
-        self._admission.require_running()
+        self._context.admission.require_running()
         entry = audit.noted(tenant, "session_deleted", key.name)
-        doomed = await self._storage.write(partial(_delete, key=key, entry=entry, at_ns=self._clock.wall_ns()))
+        doomed = await self._context.storage.write(
+            partial(_delete, key=key, entry=entry, at_ns=self._context.clock.wall_ns())
+        )
         failpoint("delete.after_mark")
         self._streams.end(tenant, key.map_id, key.session_id)
         await self._collector.collect(tenant, doomed)
@@ -180,7 +159,7 @@ class Sessions:
         known = ((code.lower(), count) for code, count in counts.items() if code.lower() in LIKELY_CAUSES)
         ordered = sorted(known, key=lambda found: (-found[1], found[0]))
         of_submaps = (SessionFinding(code, count, *LIKELY_CAUSES[code]) for code, count in ordered)
-        config = self._policy.for_map(require_map(uow, record.tenant, record.map_id))
+        config = self._context.policy.for_map(require_map(uow, record.tenant, record.map_id))
         why = why_no_loops(uow, record, config.loop)
         return replace(_view(uow, record), findings=(*of_submaps, *odometry_findings(uow, record)), no_loops=why)
 
@@ -198,7 +177,7 @@ class Sessions:
             window_start_m=0.0,
             window_first_seq=1,
             emitted_to_m=None,
-            created_at_ns=self._clock.wall_ns(),
+            created_at_ns=self._context.clock.wall_ns(),
             finished_at_ns=None,
             **command.validated(),
         )

@@ -8,9 +8,7 @@ from typing import Protocol
 
 import numpy as np
 
-from revisit.service.capacity.admission import Admission
 from revisit.service.domain.identity import SessionKey, SubmapKey, TenantId
-from revisit.service.domain.policy import Policy
 from revisit.service.domain.records import SubmapRecord
 from revisit.service.domain.states import SubmapState
 from revisit.service.failpoints import failpoint
@@ -32,11 +30,10 @@ from revisit.service.features.deletion.blob_references import Blob, BlobCollecto
 from revisit.service.features.deletion.rows import delete_submap
 from revisit.service.features.graph.map_frames import MapFrames, submap_in_map
 from revisit.service.features.ingest.rows import SubmapSource, submap_source
-from revisit.service.features.resources.paging import Lists, Page, PageRequest
+from revisit.service.features.resources.call_context import CallContext
+from revisit.service.features.resources.paging import Page, PageRequest
 from revisit.service.features.resources.views import SubmapView, submap_view
-from revisit.service.ports.clock import Clock
 from revisit.service.ports.storage import (
-    Storage,
     require_descriptor,
     require_map,
     require_session,
@@ -56,30 +53,16 @@ class Meshes(Protocol):
 class Submaps:
     """Get, list, delete and download submaps."""
 
-    def __init__(
-        self,
-        storage: Storage,
-        lists: Lists,
-        admission: Admission,
-        collector: BlobCollector,
-        rendering: Rendering,
-        clock: Clock,
-        policy: Policy,
-        meshes: Meshes,
-    ) -> None:
-        """`collector` deletes the blobs of deleted rows; `rendering` makes files."""
-        self._storage = storage
-        self._lists = lists
-        self._admission = admission
-        self._collector = collector
-        self._clock = clock
-        self._policy = policy
-        self._meshes = meshes
+    def __init__(self, context: CallContext, rendering: Rendering, meshes: Meshes) -> None:
+        """`rendering` and `meshes` make files."""
+        self._context = context
+        self._collector = BlobCollector(context.storage)
         self._rendering = rendering
+        self._meshes = meshes
 
     async def get(self, tenant: TenantId, key: SubmapKey, *, full: bool = False) -> SubmapView:
         """The submap, with its descriptor where `full`. Raises NotFound; DataLoss where that is damaged."""
-        record, view = await self._storage.read(partial(_seen, tenant=tenant, key=key))
+        record, view = await self._context.storage.read(partial(_seen, tenant=tenant, key=key))
         if not full or record.state != SubmapState.DESCRIBED:
             return view
         return replace(view, descriptor=np.frombuffer(require_descriptor(record), dtype="<f4").astype(np.float32))
@@ -87,13 +70,15 @@ class Submaps:
     async def list(self, tenant: TenantId, session: SessionKey, page: PageRequest) -> Page[SubmapView]:
         """The submaps of a session in their order. Raises NotFound for the session."""
         find = partial(_of_session, tenant=tenant, session=session)
-        return await self._lists.page(tenant, page, find, lambda _, row: row.view)
+        return await self._context.lists.page(tenant, page, find, lambda _, row: row.view)
 
     async def delete(self, tenant: TenantId, key: SubmapKey) -> None:
         """Delete a submap, its loop closures and its entry in the index. Raises NotFound, Draining."""
-        self._admission.require_running()
+        self._context.admission.require_running()
         entry = audit.noted(tenant, "submap_deleted", key.name)
-        doomed = await self._storage.write(partial(_delete, key=key, entry=entry, at_ns=self._clock.wall_ns()))
+        doomed = await self._context.storage.write(
+            partial(_delete, key=key, entry=entry, at_ns=self._context.clock.wall_ns())
+        )
         failpoint("delete.after_rows")
         await self._collector.collect(tenant, doomed)
 
@@ -111,7 +96,7 @@ class Submaps:
         NotFound; NotReady where it is not described yet; UnsupportedEncoding for another format; DataLoss; RateLimited;
         for a mesh also NoAnswer, WorkersBusy, StorageFull.
         """
-        record, source = await self._storage.read(partial(self._with_source, tenant=tenant, key=key))
+        record, source = await self._context.storage.read(partial(self._with_source, tenant=tenant, key=key))
         extension = extension_of(kind, file_format)
         if kind is DownloadKind.MESH:
             require_neural_map(record)
@@ -119,13 +104,15 @@ class Submaps:
         await room(RENDERING_BYTES)
 
         def make() -> Download:
-            return named(stored_file(self._storage.blobs, record, source, kind, extension), record, kind, extension)
+            return named(
+                stored_file(self._context.storage.blobs, record, source, kind, extension), record, kind, extension
+            )
 
         return await self._rendering.of(tenant, make)
 
     def _with_source(self, uow: UnitOfWork, tenant: TenantId, key: SubmapKey) -> tuple[SubmapRecord, SubmapSource]:
         record = require_submap(uow, tenant, key)
-        return record, submap_source(uow, self._policy, record)
+        return record, submap_source(uow, self._context.policy, record)
 
 
 def _seen(uow: UnitOfWork, tenant: TenantId, key: SubmapKey) -> tuple[SubmapRecord, SubmapView]:

@@ -11,13 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from revisit.core.geometry.se3 import Matrix4, pose_matrix
-from revisit.service.capacity.admission import Admission
 from revisit.service.domain.errors import NotReady
 from revisit.service.domain.identity import SessionKey, TenantId
 from revisit.service.domain.records import EarlyCorrectionRecord, SessionPosesRecord
 from revisit.service.features.graph.session_poses import PackedSubmaps
+from revisit.service.features.resources.call_context import CallContext
 from revisit.service.features.waiting.event_tail import AGAIN_S, EventTail
-from revisit.service.ports.storage import Storage, require_map, require_session
+from revisit.service.ports.storage import require_map, require_session
 from revisit.service.ports.transactions import UnitOfWork
 
 SOON_S = 0.3
@@ -45,15 +45,14 @@ class CorrectionView:
 class Corrections:
     """Get and watch the corrections of sessions."""
 
-    def __init__(self, storage: Storage, admission: Admission, tail: EventTail) -> None:
-        """Watching ends when `admission` says that the service stops; `tail` sees that there is news."""
-        self._storage = storage
-        self._admission = admission
+    def __init__(self, context: CallContext, tail: EventTail) -> None:
+        """`tail` sees that there is news."""
+        self._context = context
         self._tail = tail
 
     async def get(self, tenant: TenantId, key: SessionKey) -> CorrectionView:
         """By the version in force. Raises NotFound; NotReady where that does not have the session."""
-        return await self._storage.read(partial(_correction, tenant=tenant, key=key))
+        return await self._context.storage.read(partial(_correction, tenant=tenant, key=key))
 
     async def watch(
         self, tenant: TenantId, map_id: str, after: int = 0, session_id: str | None = None
@@ -64,10 +63,10 @@ class Corrections:
         service stops. Raises NotFound for the map and the session.
         """
         early, happened = dict[str, int](), False
-        while not self._admission.stopping:
+        while not self._context.admission.stopping:
             looked_at = self._tail.last
             known = partial(_newer, tenant=tenant, map_id=map_id, after=after, session_id=session_id, early=early)
-            after, corrections = await self._storage.read(known)
+            after, corrections = await self._context.storage.read(known)
             for correction in corrections:
                 early[correction.session.session_id] = correction.early_loops
                 yield correction

@@ -60,10 +60,10 @@ left of this kind.
 class Erasure:
     """Deletes the rows and blobs of all marked resources, one portion after another."""
 
-    def __init__(self, storage: Storage, collector: BlobCollector, clock: Clock) -> None:
-        """`collector` deletes blobs that nothing names any more."""
+    def __init__(self, storage: Storage, clock: Clock) -> None:
+        """Rows and blobs are those of `storage`."""
         self._storage = storage
-        self._collector = collector
+        self._collector = BlobCollector(storage)
         self._clock = clock
         self._turn = asyncio.Lock()
         self._under_way: dict[int, asyncio.Task[None]] = {}

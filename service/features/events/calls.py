@@ -7,7 +7,6 @@ from collections.abc import AsyncIterator, Iterable
 from dataclasses import dataclass, field
 from functools import partial
 
-from revisit.service.capacity.admission import Admission
 from revisit.service.capacity.in_flight import Turns
 from revisit.service.capacity.limits import BATCHES_AT_A_TIME
 from revisit.service.domain.errors import NotFound
@@ -16,9 +15,10 @@ from revisit.service.domain.identity import TenantId
 from revisit.service.domain.states import EventKind
 from revisit.service.features.loops.calls import LoopClosureView, loop_view
 from revisit.service.features.optimisation.calls import MapVersionView, version_seen
+from revisit.service.features.resources.call_context import CallContext
 from revisit.service.features.resources.views import OperationView, operation_view
 from revisit.service.features.waiting.event_tail import AGAIN_S, EventTail
-from revisit.service.ports.storage import Storage, require_map
+from revisit.service.ports.storage import require_map
 from revisit.service.ports.transactions import UnitOfWork
 
 HEARTBEAT_S = 15.0
@@ -56,8 +56,7 @@ class EventPage:
 class Events:
     """Watches the events of maps."""
 
-    storage: Storage
-    admission: Admission
+    context: CallContext
     tail: EventTail
     turns: Turns = field(default_factory=lambda: Turns(BATCHES_AT_A_TIME))
     heartbeat_s: float = field(default=HEARTBEAT_S)
@@ -71,18 +70,20 @@ class Events:
         event that is followed by another of the same resource before it is told is left out. The first is OPENED. Ends
         when the service stops. Raises NotFound for the map, also once it is deleted.
         """
-        last = await self.storage.read(partial(_last, tenant=tenant, map_id=map_id))
+        last = await self.context.storage.read(partial(_last, tenant=tenant, map_id=map_id))
         seen = last if after is None else min(after, last)
         yield EventView(seen, EventKind.OPENED, map_id)
         if after is not None and after > last:
             # Never given out: the client has seen events of a database that was replaced by an older one since.
             yield EventView(seen, EventKind.FORGOTTEN, "")
         silent_s = 0.0
-        while not self.admission.stopping:
+        while not self.context.admission.stopping:
             if last > seen:
                 # A watch with much to catch up on does not keep every reader of the database.
                 async with self.turns.of(tenant):
-                    page = await self.storage.read(partial(_page, tenant=tenant, map_id=map_id, seen=seen, last=last))
+                    page = await self.context.storage.read(
+                        partial(_page, tenant=tenant, map_id=map_id, seen=seen, last=last)
+                    )
                 seen = page.seen
                 for event in page.events:
                     if not kinds or event.kind in kinds | {EventKind.FORGOTTEN}:

@@ -21,13 +21,10 @@ from revisit.core.errors import BadField
 from revisit.core.geometry.se3 import Matrix4, pose_matrix, pose_row
 from revisit.core.scan import CloudReport, Scan
 from revisit.core.submap import next_window_start
-from revisit.service.capacity.admission import Admission
-from revisit.service.capacity.backlog import JobPosting
 from revisit.service.capacity.in_flight import InFlight
 from revisit.service.domain import limits
 from revisit.service.domain.errors import AlreadyExists, NotFound, SequenceGap
 from revisit.service.domain.identity import SessionKey, TenantId
-from revisit.service.domain.policy import Policy
 from revisit.service.domain.records import ScanRecord, SessionRecord
 from revisit.service.failpoints import failpoint
 from revisit.service.features.ingest.clouds import (
@@ -41,9 +38,9 @@ from revisit.service.features.ingest.clouds import (
 from revisit.service.features.ingest.open_streams import OpenStreams
 from revisit.service.features.ingest.posting import PostedSubmap
 from revisit.service.features.ingest.rules import ScanRange, add_window_submap
+from revisit.service.features.resources.call_context import CallContext
 from revisit.service.ports.blobs import CLOUD_BLOB
-from revisit.service.ports.clock import Clock
-from revisit.service.ports.storage import Storage, require_active, require_map, require_session
+from revisit.service.ports.storage import require_active, require_map, require_session
 from revisit.service.ports.transactions import UnitOfWork
 
 SAME_POSE = 1e-9
@@ -114,26 +111,12 @@ class _Accepted:
 class Scans:
     """Open a session's stream and append scans to it."""
 
-    def __init__(
-        self,
-        storage: Storage,
-        admission: Admission,
-        decoder: CloudDecoder,
-        jobs: JobPosting,
-        in_flight: InFlight,
-        streams: OpenStreams,
-        clock: Clock,
-        policy: Policy,
-    ) -> None:
-        """Completed submaps are queued through `jobs`."""
-        self._storage = storage
-        self._admission = admission
+    def __init__(self, context: CallContext, decoder: CloudDecoder, in_flight: InFlight, streams: OpenStreams) -> None:
+        """`in_flight` counts clouds that arrive, `streams` those that are open."""
+        self._context = context
         self._decoder = decoder
-        self._jobs = jobs
         self._in_flight = in_flight
         self._streams = streams
-        self._clock = clock
-        self._policy = policy
         self._window_configs: dict[int, SubmapConfig] = {}
 
     async def open(self, tenant: TenantId, session: SessionKey, resume: ResumePoint = ResumePoint()) -> OpenedStream:
@@ -142,8 +125,8 @@ class Scans:
         Raises NotFound, also where the token is another session's; SequenceGap where fewer scans are stored than were
         acknowledged (an older backup was restored); SessionFinished, Draining.
         """
-        self._admission.require_running()
-        record = await self._storage.read(partial(require_session, tenant=tenant, key=session))
+        self._context.admission.require_running()
+        record = await self._context.storage.read(partial(require_session, tenant=tenant, key=session))
         token = f"{record.number:x}-{record.created_at_ns:x}"
         if resume.token not in ("", token):
             raise NotFound("the resume token is of another session")
@@ -167,13 +150,15 @@ class Scans:
         for other content under the number of a stored scan, WorkersBusy, RateLimited, QuotaReached, Draining,
         StorageFull, StorageUncertain.
         """
-        self._admission.require_storage()
-        session = await self._storage.read(partial(require_session, tenant=tenant, key=command.session))
+        self._context.admission.require_storage()
+        session = await self._context.storage.read(partial(require_session, tenant=tenant, key=command.session))
         replay = _is_replay(session, command.seq)
         if not replay:
-            await self._admission.require_room(tenant)
+            await self._context.admission.require_room(tenant)
         price = reading_points(command.cloud)
-        async with self._admission.cloud(tenant, refused_points=price, patient=patient, queued=False) as decoded:
+        async with self._context.admission.cloud(
+            tenant, refused_points=price, patient=patient, queued=False
+        ) as decoded:
             accepted = await self._decoder.run(tenant, _accept, command)
             decoded(len(accepted.scan.points))
             if replay:
@@ -182,7 +167,7 @@ class Scans:
 
     async def _replayed(self, session: SessionRecord, accepted: _Accepted) -> ScanAck:
         """The answer to a scan with a number that is taken. Raises AlreadyExists unless it is the stored one again."""
-        stored = await self._storage.read(partial(_stored_scan, session=session, seq=accepted.seq))
+        stored = await self._context.storage.read(partial(_stored_scan, session=session, seq=accepted.seq))
         if stored is not None and not await self._is_stored(stored, accepted):
             raise _taken(session, accepted.seq)
         return ScanAck(session.committed_seq, replay=True, report=None, submap=None)
@@ -193,14 +178,16 @@ class Scans:
             return False
         if stored.cloud_sha256 == accepted.sha256:
             return True
-        packed = await asyncio.to_thread(self._storage.blobs.get, stored.tenant, CLOUD_BLOB, stored.cloud_sha256)
+        packed = await asyncio.to_thread(
+            self._context.storage.blobs.get, stored.tenant, CLOUD_BLOB, stored.cloud_sha256
+        )
         return await self._decoder.run(stored.tenant, _same_points, packed, accepted.packed)
 
     async def _store(self, tenant: TenantId, key: SessionKey, accepted: _Accepted) -> ScanAck:
-        await self._storage.put_blob(tenant, CLOUD_BLOB, accepted.packed)
+        await self._context.storage.put_blob(tenant, CLOUD_BLOB, accepted.packed)
         failpoint("ingest.after_blob")
-        ack = await self._storage.write(partial(self._insert, tenant=tenant, key=key, accepted=accepted))
-        self._admission.note_stored(tenant, len(accepted.scan.points))
+        ack = await self._context.storage.write(partial(self._insert, tenant=tenant, key=key, accepted=accepted))
+        self._context.admission.note_stored(tenant, len(accepted.scan.points))
         failpoint("ingest.after_commit")
         return ack
 
@@ -214,7 +201,7 @@ class Scans:
             return ScanAck(session.committed_seq, replay=True, report=None, submap=None)
         last = uow.scans.get(session.tenant, session.map_id, session.session_id, session.committed_seq)
         step_m = _step_m(last, accepted.scan)
-        self._storage.keep_blob(tenant, CLOUD_BLOB, accepted.packed, accepted.sha256)
+        self._context.storage.keep_blob(tenant, CLOUD_BLOB, accepted.packed, accepted.sha256)
         uow.scans.add(_row(session, accepted, session.travelled_m + step_m))
         submap = self._advance(uow, session, accepted.seq, step_m)
         return ScanAck(accepted.seq, replay=False, report=accepted.scan.report, submap=submap)
@@ -227,14 +214,14 @@ class Scans:
         if finished is None:
             uow.sessions.replace(moved)
             return None
-        return add_window_submap(uow, self._jobs, moved, finished, self._clock.wall_ns())[0]
+        return add_window_submap(uow, self._context.jobs, moved, finished, self._context.clock.wall_ns())[0]
 
     def _window_config(self, uow: UnitOfWork, session: SessionRecord) -> SubmapConfig:
         """How the session's scans are cut into submaps: rules of its map, which never change, so they are read once."""
         if session.number not in self._window_configs:
             if len(self._window_configs) == SESSIONS_REMEMBERED:
                 self._window_configs.clear()
-            config = self._policy.for_map(require_map(uow, session.tenant, session.map_id)).submap
+            config = self._context.policy.for_map(require_map(uow, session.tenant, session.map_id)).submap
             self._window_configs[session.number] = config
         return self._window_configs[session.number]
 

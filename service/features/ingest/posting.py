@@ -12,7 +12,6 @@ import numpy as np
 from revisit.core.errors import BadField
 from revisit.core.geometry.se3 import Matrix4, pose_row, position_row
 from revisit.core.scan import MAX_SCENE_M, CloudReport, Scan, scene_size
-from revisit.service.capacity.admission import Admission
 from revisit.service.capacity.backlog import JobPosting
 from revisit.service.domain import limits
 from revisit.service.domain.identity import (
@@ -34,11 +33,10 @@ from revisit.service.features.ingest.clouds import (
     pack_cloud,
     reading_points,
 )
+from revisit.service.features.resources.call_context import CallContext
 from revisit.service.features.resources.views import OperationView, SubmapView, operation_view, submap_view
 from revisit.service.ports.blobs import CLOUD_BLOB
-from revisit.service.ports.clock import Clock
 from revisit.service.ports.storage import (
-    Storage,
     require_active,
     require_job,
     require_same_content,
@@ -79,15 +77,10 @@ class _Accepted:
 class SubmapPosting:
     """Posts submaps."""
 
-    def __init__(
-        self, storage: Storage, admission: Admission, decoder: CloudDecoder, jobs: JobPosting, clock: Clock
-    ) -> None:
-        """Descriptions are queued through `jobs`."""
-        self._storage = storage
-        self._admission = admission
+    def __init__(self, context: CallContext, decoder: CloudDecoder) -> None:
+        """`decoder` reads clouds beside the event loop."""
+        self._context = context
         self._decoder = decoder
-        self._jobs = jobs
-        self._clock = clock
 
     async def post(self, tenant: TenantId, command: PostSubmap) -> PostedSubmap:
         """Store a submap durably and queue its description; returns after the commit.
@@ -96,23 +89,23 @@ class SubmapPosting:
         AlreadyExists for other content under the same id, WorkersBusy, RateLimited, QuotaReached, Draining,
         StorageFull, StorageUncertain.
         """
-        self._admission.require_storage()
-        async with self._admission.cloud(tenant, refused_points=reading_points(command.cloud)) as decoded:
+        self._context.admission.require_storage()
+        async with self._context.admission.cloud(tenant, refused_points=reading_points(command.cloud)) as decoded:
             return await self._store(tenant, command, decoded)
 
     async def _store(self, tenant: TenantId, command: PostSubmap, decoded: Callable[[int], None]) -> PostedSubmap:
-        accepted = await self._decoder.run(tenant, _accept, tenant, command, self._clock.wall_ns())
+        accepted = await self._decoder.run(tenant, _accept, tenant, command, self._context.clock.wall_ns())
         decoded(accepted.row.point_count)
-        replay = await self._storage.read(partial(_replayed, row=accepted.row))
+        replay = await self._context.storage.read(partial(_replayed, row=accepted.row))
         if replay is not None:
             return replay
         # The cloud may have waited for its turn to be decoded.
-        self._admission.require_storage()
-        await self._admission.require_room(tenant)
-        await self._storage.put_blob(tenant, CLOUD_BLOB, accepted.packed)
+        self._context.admission.require_storage()
+        await self._context.admission.require_room(tenant)
+        await self._context.storage.put_blob(tenant, CLOUD_BLOB, accepted.packed)
         failpoint("ingest.after_blob")
-        posted = await self._storage.write(partial(self._insert, accepted=accepted))
-        self._admission.note_stored(tenant, accepted.row.point_count)
+        posted = await self._context.storage.write(partial(self._insert, accepted=accepted))
+        self._context.admission.note_stored(tenant, accepted.row.point_count)
         failpoint("ingest.after_commit")
         return posted
 
@@ -121,9 +114,9 @@ class SubmapPosting:
         replay = _replayed(uow, row)
         if replay is not None:
             return replay
-        self._storage.keep_blob(row.tenant, CLOUD_BLOB, accepted.packed, str(row.cloud_sha256))
+        self._context.storage.keep_blob(row.tenant, CLOUD_BLOB, accepted.packed, str(row.cloud_sha256))
         session = require_session(uow, row.tenant, SessionKey(row.map_id, row.session_id))
-        added, _ = add_submap(uow, self._jobs, session, row)
+        added, _ = add_submap(uow, self._context.jobs, session, row)
         return posted_submap(uow, added, replay=False, report=accepted.report)
 
 

@@ -9,16 +9,16 @@ from typing import Any
 
 from revisit.core.geometry.se3 import Matrix4, pose_matrix
 from revisit.core.pose_graph.graph import GraphState
-from revisit.service.capacity.admission import Admission
 from revisit.service.domain.errors import NotFound
 from revisit.service.domain.identity import SessionKey, SubmapKey, TenantId
 from revisit.service.domain.records import LoopRecord
 from revisit.service.domain.states import LoopState
 from revisit.service.features.graph.map_frames import LoopInMap, MapFrames
-from revisit.service.features.resources.paging import Lists, Page, PageRequest
+from revisit.service.features.resources.call_context import CallContext
+from revisit.service.features.resources.paging import Page, PageRequest
 from revisit.service.features.waiting.event_tail import EventTail
 from revisit.service.features.waiting.freshness import Freshness, ReadYourWrites
-from revisit.service.ports.storage import Storage, require_map, require_session
+from revisit.service.ports.storage import require_map, require_session
 from revisit.service.ports.transactions import UnitOfWork
 
 _LAST_NUMBER = 2**63 - 1
@@ -63,19 +63,15 @@ class LoopClosureView:
 class Loops:
     """Get, list and watch loop closures."""
 
-    def __init__(
-        self, storage: Storage, lists: Lists, admission: Admission, tail: EventTail, writes: ReadYourWrites
-    ) -> None:
-        """Watching ends when `admission` says that the service stops; `tail` sees that there is news."""
-        self._storage = storage
-        self._lists = lists
-        self._admission = admission
+    def __init__(self, context: CallContext, tail: EventTail, writes: ReadYourWrites) -> None:
+        """`tail` sees that there is news; `writes` waits for what an answer must know."""
+        self._context = context
         self._tail = tail
         self._writes = writes
 
     async def get(self, tenant: TenantId, map_id: str, loop_id: str) -> LoopClosureView:
         """Raises NotFound."""
-        return await self._storage.read(partial(_seen, tenant=tenant, map_id=map_id, loop_id=loop_id))
+        return await self._context.storage.read(partial(_seen, tenant=tenant, map_id=map_id, loop_id=loop_id))
 
     async def list(
         self,
@@ -97,7 +93,7 @@ class Loops:
         await self._writes.reached(tenant, map_id, fresh)
         wanted = Wanted(map_id, state, session_id, graph_state, reason or None)
         find = partial(_views, tenant=tenant, wanted=wanted)
-        return await self._lists.page(tenant, page, find, lambda _, view: view)
+        return await self._context.lists.page(tenant, page, find, lambda _, view: view)
 
     async def watch(
         self, tenant: TenantId, map_id: str, after: int = 0, session_id: str | None = None
@@ -107,7 +103,7 @@ class Loops:
         Ends when the service stops. Raises NotFound for the map and the session.
         """
         seen = min(after, _LAST_NUMBER)
-        while not self._admission.stopping:
+        while not self._context.admission.stopping:
             looked_at = self._tail.last
             views = await self._accepted_after(tenant, map_id, seen, session_id)
             for view in views:
@@ -120,7 +116,9 @@ class Loops:
         self, tenant: TenantId, map_id: str, after: int, session_id: str | None
     ) -> Sequence[LoopClosureView]:
         wanted = Wanted(map_id, LoopState.ACCEPTED, session_id)
-        return await self._storage.read(partial(_views, tenant=tenant, wanted=wanted, after=after, limit=_WATCH_BATCH))
+        return await self._context.storage.read(
+            partial(_views, tenant=tenant, wanted=wanted, after=after, limit=_WATCH_BATCH)
+        )
 
 
 @dataclass(frozen=True)

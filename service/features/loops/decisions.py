@@ -10,12 +10,9 @@ from revisit.core.errors import BadField
 from revisit.core.geometry import se3
 from revisit.core.geometry.se3 import Matrix4, pose_matrix, pose_row
 from revisit.core.pose_graph.graph import GraphState
-from revisit.service.capacity.admission import Admission
-from revisit.service.capacity.backlog import JobPosting
 from revisit.service.domain.callers import current_actor
 from revisit.service.domain.errors import AlreadyExists, NotReady
 from revisit.service.domain.identity import SubmapKey, TenantId, content_hash, validated_note
-from revisit.service.domain.policy import Policy
 from revisit.service.domain.records import LoopEventRecord, LoopRecord, SubmapRecord
 from revisit.service.domain.states import LoopEventKind, LoopState, OperationKind, SubmapState
 from revisit.service.features.audit import calls as audit
@@ -23,10 +20,10 @@ from revisit.service.features.graph.edits import note_edit
 from revisit.service.features.graph.posting import optimise_soon
 from revisit.service.features.loops.calls import LoopClosureView, loop_seen, require_loop
 from revisit.service.features.loops.rows import Change, add_loop, before_last_decision, change_loop
-from revisit.service.features.resources.paging import Lists, Page, PageRequest
+from revisit.service.features.resources.call_context import CallContext
+from revisit.service.features.resources.paging import Page, PageRequest
 from revisit.service.features.resources.views import OperationView, operation_view
-from revisit.service.ports.clock import Clock
-from revisit.service.ports.storage import Storage, require_job, require_map, require_submap
+from revisit.service.ports.storage import require_job, require_map, require_submap
 from revisit.service.ports.transactions import UnitOfWork
 
 OVERRULED = "OVERRULED"
@@ -72,16 +69,9 @@ class LoopEventView:
 class LoopDecisions:
     """People's decisions about loop closures."""
 
-    def __init__(
-        self, storage: Storage, admission: Admission, lists: Lists, jobs: JobPosting, clock: Clock, policy: Policy
-    ) -> None:
-        """Loops made by hand are verified by jobs posted through `jobs`; `lists` reads the events of a loop."""
-        self._storage = storage
-        self._lists = lists
-        self._admission = admission
-        self._jobs = jobs
-        self._clock = clock
-        self._policy = policy
+    def __init__(self, context: CallContext) -> None:
+        """Loops made by hand are verified by jobs."""
+        self._context = context
 
     async def accept(self, tenant: TenantId, map_id: str, loop_id: str, note: str = "") -> LoopClosureView:
         """Accept a loop of any verdict. Raises NotFound; BadField where it has no alignment; Draining."""
@@ -101,25 +91,27 @@ class LoopDecisions:
         Raises NotFound; NotReady where a submap is not described; BadField; BadTransform; AlreadyExists where another
         loop by hand between the two waits or is accepted; WorkersBusy; Draining.
         """
-        self._admission.require_running()
+        self._context.admission.require_running()
         validated_note(command.note)
         if command.query == command.match or command.query.map_id != command.match.map_id:
             raise BadField("a loop joins two submaps of one map", field="match")
         T = None if command.T_match_query is None else se3.validated(command.T_match_query)
         actor = current_actor()
-        return await self._storage.write(partial(self._propose, tenant=tenant, command=command, T=T, actor=actor))
+        return await self._context.storage.write(
+            partial(self._propose, tenant=tenant, command=command, T=T, actor=actor)
+        )
 
     async def events(self, tenant: TenantId, map_id: str, loop_id: str, page: PageRequest) -> Page[LoopEventView]:
         """The changes of a loop, oldest first. Raises NotFound."""
         find = partial(_events, tenant=tenant, map_id=map_id, loop_id=loop_id)
-        return await self._lists.page(tenant, page, find, lambda _, record: _view(record))
+        return await self._context.lists.page(tenant, page, find, lambda _, record: _view(record))
 
     async def _decide(
         self, tenant: TenantId, map_id: str, loop_id: str, kind: LoopEventKind, note: str
     ) -> LoopClosureView:
-        self._admission.require_running()
-        change = Change(kind, self._clock.wall_ns(), current_actor(), validated_note(note))
-        return await self._storage.write(
+        self._context.admission.require_running()
+        change = Change(kind, self._context.clock.wall_ns(), current_actor(), validated_note(note))
+        return await self._context.storage.write(
             partial(self._change, tenant=tenant, map_id=map_id, loop_id=loop_id, change=change)
         )
 
@@ -132,7 +124,7 @@ class LoopDecisions:
         entry = audit.noted(tenant, f"loop_{change.kind.lower()}", f"maps/{map_id}/loopClosures/{loop_id}")
         audit.append(uow, change.at_ns, entry)
         note_edit(uow, tenant, map_id)
-        optimise_soon(uow, tenant, map_id, self._policy, change.at_ns, decided=True)
+        optimise_soon(uow, tenant, map_id, self._context.policy, change.at_ns, decided=True)
         return loop_seen(uow, changed)
 
     def _propose(
@@ -150,14 +142,14 @@ class LoopDecisions:
                 return ProposedLoop(loop_seen(uow, known[-1]), operation_view(job), replay=True)
             if known[-1].state != LoopState.REJECTED:
                 raise AlreadyExists(f"loop {known[-1].loop_id} joins the two submaps already")
-        loop = _new_loop(query, match, len(known) + 1, T, self._clock.wall_ns())
+        loop = _new_loop(query, match, len(known) + 1, T, self._context.clock.wall_ns())
         return self._post(uow, loop, Change(LoopEventKind.PROPOSED, loop.created_at_ns, actor, command.note), asked)
 
     def _post(self, uow: UnitOfWork, loop: LoopRecord, change: Change, asked: str) -> ProposedLoop:
         """Store a new loop and the job that verifies it, each of which names the other."""
         subject = f"maps/{loop.map_id}/loopClosures/{loop.loop_id}"
         payload = {"map_id": loop.map_id, "loop_id": loop.loop_id}
-        job = self._jobs.post(uow, loop.tenant, OperationKind.VERIFY_LOOP, subject, payload)
+        job = self._context.jobs.post(uow, loop.tenant, OperationKind.VERIFY_LOOP, subject, payload)
         details = {"content_hash": asked, "operation": job.operation_id}
         added = add_loop(uow, loop, replace(change, details=details))
         return ProposedLoop(loop_seen(uow, added), operation_view(job), replay=False)

@@ -15,16 +15,15 @@ from revisit.core.geometry.se2 import PlanarPose
 from revisit.core.geometry.se3 import Matrix4
 from revisit.core.place import Place
 from revisit.core.place.correspondences import Correspondences, correspond
-from revisit.service.capacity.admission import Admission
 from revisit.service.capacity.in_flight import Turns
 from revisit.service.capacity.limits import COMPARISON_POINTS, COMPARISONS_AT_A_TIME
 from revisit.service.domain.errors import NotReady
 from revisit.service.domain.identity import SubmapKey, TenantId
-from revisit.service.domain.policy import Policy
 from revisit.service.domain.records import SubmapRecord
 from revisit.service.features.loops.calls import LoopClosureView, loop_view, require_loop
+from revisit.service.features.resources.call_context import CallContext
 from revisit.service.ports.blobs import PLACE_BLOB, BlobStore
-from revisit.service.ports.storage import Storage, require_submap
+from revisit.service.ports.storage import require_submap
 from revisit.service.ports.transactions import UnitOfWork
 
 
@@ -50,22 +49,23 @@ class LoopKeypoints:
 class LoopKeypointReading:
     """Reads the keypoints of loop closures; they are compared again, as when the pair was verified."""
 
-    def __init__(self, storage: Storage, admission: Admission, policy: Policy) -> None:
-        """`policy` says how near two keypoints must come."""
-        self._storage = storage
-        self._admission = admission
-        self._config = policy.pipeline.verification
+    def __init__(self, context: CallContext) -> None:
+        """The policy says how near two keypoints must come."""
+        self._context = context
+        self._config = context.policy.pipeline.verification
         self._turns = Turns(COMPARISONS_AT_A_TIME)
 
     async def of(self, tenant: TenantId, map_id: str, loop_id: str) -> LoopKeypoints:
         """The keypoints of a loop closure. Raises NotFound; NotReady for a submap that is not described; DataLoss;
         RateLimited.
         """
-        self._admission.charge_call(tenant, COMPARISON_POINTS)
-        loop, query, match = await self._storage.read(partial(_pair, tenant=tenant, map_id=map_id, loop_id=loop_id))
+        self._context.admission.charge_call(tenant, COMPARISON_POINTS)
+        loop, query, match = await self._context.storage.read(
+            partial(_pair, tenant=tenant, map_id=map_id, loop_id=loop_id)
+        )
         # One at a time, beside the event loop; tenants take turns.
         async with self._turns.of(tenant):
-            return await asyncio.to_thread(_read, self._storage.blobs, loop, query, match, self._config)
+            return await asyncio.to_thread(_read, self._context.storage.blobs, loop, query, match, self._config)
 
 
 def _pair(

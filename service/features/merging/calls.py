@@ -9,8 +9,7 @@ from typing import Any
 from revisit.core.errors import BadField
 from revisit.core.geometry import se3
 from revisit.core.geometry.se3 import Matrix4, pose_row
-from revisit.service.capacity.admission import Admission
-from revisit.service.capacity.backlog import JobPosting, same_job
+from revisit.service.capacity.backlog import same_job
 from revisit.service.domain import limits
 from revisit.service.domain.callers import current_actor
 from revisit.service.domain.errors import NotFound, NotReady
@@ -27,10 +26,10 @@ from revisit.service.features.graph.posting import drop_waiting
 from revisit.service.features.merging.reading import require_comparable
 from revisit.service.features.optimisation.calls import restore_version
 from revisit.service.features.optimisation.rows import MAP_REVERTED
-from revisit.service.features.resources.paging import Lists, Page, PageRequest
+from revisit.service.features.resources.call_context import CallContext
+from revisit.service.features.resources.paging import Page, PageRequest
 from revisit.service.features.resources.views import PostedOperation, operation_view
-from revisit.service.ports.clock import Clock
-from revisit.service.ports.storage import Storage, require_map, require_session
+from revisit.service.ports.storage import require_map, require_session
 from revisit.service.ports.transactions import UnitOfWork
 
 DEFAULT_RADIUS_M = 30.0
@@ -75,24 +74,11 @@ class MergeMap:
 class MapMerges:
     """Merge, list, get, take back."""
 
-    def __init__(
-        self,
-        storage: Storage,
-        lists: Lists,
-        admission: Admission,
-        jobs: JobPosting,
-        collector: BlobCollector,
-        erasure: Erasure,
-        clock: Clock,
-    ) -> None:
-        """Jobs are posted through `jobs`; the copies of a merge that is undone go through `collector` and `erasure`."""
-        self._storage = storage
-        self._lists = lists
-        self._admission = admission
-        self._jobs = jobs
-        self._collector = collector
+    def __init__(self, context: CallContext, erasure: Erasure) -> None:
+        """The copies of a merge that is undone go through `erasure`."""
+        self._context = context
+        self._collector = BlobCollector(context.storage)
         self._erasure = erasure
-        self._clock = clock
 
     async def merge(self, tenant: TenantId, command: MergeMap) -> PostedOperation:
         """Queue a merge; the same that waits already is answered.
@@ -100,27 +86,31 @@ class MapMerges:
         Raises NotFound; BadField; BadTransform; DescriptorModelMismatch where the maps were described by different
         models; WorkersBusy; Draining.
         """
-        self._admission.require_running()
+        self._context.admission.require_running()
         payload = command.payload()
-        return await self._storage.write(partial(self._post, tenant=tenant, command=command, payload=payload))
+        return await self._context.storage.write(partial(self._post, tenant=tenant, command=command, payload=payload))
 
     async def list(self, tenant: TenantId, map_id: str, page: PageRequest) -> Page[MapMergeRecord]:
         """The merges into a map, oldest first, those taken back too. Raises NotFound for the map."""
-        return await self._lists.page(tenant, page, partial(_merges, tenant=tenant, map_id=map_id), lambda _, one: one)
+        return await self._context.lists.page(
+            tenant, page, partial(_merges, tenant=tenant, map_id=map_id), lambda _, one: one
+        )
 
     async def get(self, tenant: TenantId, map_id: str, merge_id: str) -> MapMergeRecord:
         """Raises NotFound."""
-        return await self._storage.read(partial(_require_merge, tenant=tenant, map_id=map_id, merge_id=merge_id))
+        return await self._context.storage.read(
+            partial(_require_merge, tenant=tenant, map_id=map_id, merge_id=merge_id)
+        )
 
     async def revert(self, tenant: TenantId, map_id: str, merge_id: str) -> MapMergeRecord:
         """Take a merge back: its copies are deleted, the poses from before it come back, bit for bit.
 
         Later additions to the map stay. Raises NotFound; NotReady where a later merge holds; Draining.
         """
-        self._admission.require_running()
+        self._context.admission.require_running()
         entry = audit.noted(tenant, "merge_reverted", f"maps/{map_id}/merges/{merge_id}")
         work = partial(self._revert, map_id=map_id, merge_id=merge_id, entry=entry)
-        reverted, doomed = await self._storage.write(work)
+        reverted, doomed = await self._context.storage.write(work)
         await self._collector.collect(tenant, doomed)
         await self._erasure.soon(tenant, map_id, *reverted.sessions)
         return reverted
@@ -134,13 +124,13 @@ class MapMerges:
         waiting = same_job(uow, tenant, OperationKind.MERGE_MAP, subject, payload)
         if waiting is not None:
             return PostedOperation(operation_view(waiting), replay=True)
-        posted = self._jobs.post(uow, tenant, OperationKind.MERGE_MAP, subject, payload)
+        posted = self._context.jobs.post(uow, tenant, OperationKind.MERGE_MAP, subject, payload)
         return PostedOperation(operation_view(posted), replay=False)
 
     def _revert(
         self, uow: UnitOfWork, map_id: str, merge_id: str, entry: AuditEntry
     ) -> tuple[MapMergeRecord, set[Blob]]:
-        tenant, now_ns = TenantId(entry.tenant), self._clock.wall_ns()
+        tenant, now_ns = TenantId(entry.tenant), self._context.clock.wall_ns()
         merge = _require_merge(uow, tenant, map_id, merge_id)
         if merge.reverted_at_ns is not None:
             return merge, set()

@@ -7,17 +7,16 @@ from dataclasses import replace
 from functools import partial
 
 from revisit.core.errors import BadField
-from revisit.service.capacity.admission import Admission
 from revisit.service.capacity.call_slots import Wait, waiting
 from revisit.service.domain import limits
 from revisit.service.domain.identity import TenantId
 from revisit.service.domain.states import OperationKind, OperationState
-from revisit.service.features.resources.paging import Lists, Page, PageRequest
+from revisit.service.features.resources.call_context import CallContext
+from revisit.service.features.resources.paging import Page, PageRequest
 from revisit.service.features.resources.views import OperationView, operation_view
 from revisit.service.features.waiting.shared_poll import SharedPoll
-from revisit.service.ports.clock import Clock
 from revisit.service.ports.job_queue import CANCELLED
-from revisit.service.ports.storage import Storage, require_job
+from revisit.service.ports.storage import require_job
 from revisit.service.ports.transactions import UnitOfWork
 
 _PAUSE_S = (0.02, 0.25)
@@ -29,17 +28,14 @@ CANCELLABLE = (OperationKind.OPTIMISE_MAP, OperationKind.MERGE_MAP, OperationKin
 class Operations:
     """Get, list and wait for operations."""
 
-    def __init__(self, storage: Storage, lists: Lists, admission: Admission, clock: Clock) -> None:
-        """Waiting ends when `admission` says that the service stops."""
-        self._storage = storage
-        self._lists = lists
-        self._admission = admission
-        self._clock = clock
-        self._polls = SharedPoll(storage, _unfinished)
+    def __init__(self, context: CallContext) -> None:
+        """Waiting ends when the service stops."""
+        self._context = context
+        self._polls = SharedPoll(context.storage, _unfinished)
 
     async def get(self, tenant: TenantId, operation_id: str) -> OperationView:
         """Raises NotFound."""
-        record = await self._storage.read(partial(require_job, tenant=tenant, operation_id=operation_id))
+        record = await self._context.storage.read(partial(require_job, tenant=tenant, operation_id=operation_id))
         return operation_view(record)
 
     async def list(
@@ -47,7 +43,7 @@ class Operations:
     ) -> Page[OperationView]:
         """The tenant's operations, oldest first."""
         only: dict[str, str] = {} if state is None else {"state": state.value}
-        return await self._lists.page(
+        return await self._context.lists.page(
             tenant,
             page,
             lambda uow, after, limit: uow.jobs.find(tenant, after=after, limit=limit, **only),
@@ -59,15 +55,15 @@ class Operations:
 
         One that has ended is left as it is. Raises NotFound; BadField for one of another kind; Draining.
         """
-        self._admission.require_running()
-        return await self._storage.write(partial(self._cancel, tenant=tenant, operation_id=operation_id))
+        self._context.admission.require_running()
+        return await self._context.storage.write(partial(self._cancel, tenant=tenant, operation_id=operation_id))
 
     def _cancel(self, uow: UnitOfWork, tenant: TenantId, operation_id: str) -> OperationView:
         job = require_job(uow, tenant, operation_id)
         if job.kind not in CANCELLABLE:
             raise BadField("only what optimises or merges maps can be cancelled", field="name")
         if job.state == OperationState.QUEUED:
-            done, now_ns = OperationState.DONE.value, self._clock.wall_ns()
+            done, now_ns = OperationState.DONE.value, self._context.clock.wall_ns()
             job = replace(job, cancel_requested=True, state=done, result=CANCELLED, finished_at_ns=now_ns)
             uow.jobs.replace(job)
         elif job.state == OperationState.RUNNING and not job.cancel_requested:
@@ -91,7 +87,7 @@ class Operations:
     async def _wait(self, tenant: TenantId, operation_id: str, timeout_s: float, wait: Wait) -> None:
         """Return once the operation has ended, or nobody waits any longer, or so many seconds are over."""
         deadline, pause = time.monotonic() + timeout_s, _PAUSE_S[0]
-        while (left := deadline - time.monotonic()) > 0 and not (self._admission.stopping or wait.abandoned):
+        while (left := deadline - time.monotonic()) > 0 and not (self._context.admission.stopping or wait.abandoned):
             if await self._polls.has_come(tenant, operation_id, min(pause, left)):
                 return
             pause = min(pause * 1.5, _PAUSE_S[1])

@@ -10,27 +10,24 @@ from dataclasses import replace
 from functools import partial
 
 from revisit.core.errors import BadField
-from revisit.service.capacity.admission import Admission
 from revisit.service.capacity.backlog import QUERIES, Backlog
 from revisit.service.domain.errors import NotFound
 from revisit.service.domain.identity import SubmapKey, TenantId
-from revisit.service.domain.policy import Policy
 from revisit.service.domain.records import JobRecord, SubmapRecord
 from revisit.service.domain.states import OperationKind, OperationState, SubmapState
+from revisit.service.features.resources.call_context import CallContext
 from revisit.service.features.resources.views import OperationView, operation_view
-from revisit.service.ports.storage import Storage, require_job
+from revisit.service.ports.storage import require_job
 from revisit.service.ports.transactions import UnitOfWork
 
 
 class DeadLetters:
     """Queue failed operations again."""
 
-    def __init__(self, storage: Storage, admission: Admission, backlog: Backlog, policy: Policy) -> None:
-        """`policy` says how many attempts a job has."""
-        self._storage = storage
-        self._admission = admission
+    def __init__(self, context: CallContext, backlog: Backlog) -> None:
+        """The policy says how many attempts a job has."""
+        self._context = context
         self._backlog = backlog
-        self._policy = policy
 
     async def retry(self, tenant: TenantId, operation_id: str) -> OperationView:
         """Queue failed work again, with as many attempts as new work; other work is left alone.
@@ -38,8 +35,8 @@ class DeadLetters:
         Raises NotFound, also where its submap was deleted; BadField for a search: its cloud is not kept;
         WorkersBusy, Draining.
         """
-        self._admission.require_running()
-        return await self._storage.write(partial(self._retry, tenant=tenant, operation_id=operation_id))
+        self._context.admission.require_running()
+        return await self._context.storage.write(partial(self._retry, tenant=tenant, operation_id=operation_id))
 
     def _retry(self, uow: UnitOfWork, tenant: TenantId, operation_id: str) -> OperationView:
         job = require_job(uow, tenant, operation_id)
@@ -54,7 +51,7 @@ class DeadLetters:
         queued = replace(
             job,
             state=OperationState.QUEUED.value,
-            max_attempts=job.counted_attempts + self._policy.max_attempts,
+            max_attempts=job.counted_attempts + self._context.policy.max_attempts,
             not_before_ms=0,
             failure_code=None,
             failure_message=None,

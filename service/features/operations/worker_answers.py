@@ -7,15 +7,13 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any
 
-from revisit.service.capacity.admission import Admission
-from revisit.service.capacity.backlog import JobPosting
 from revisit.service.domain.errors import NoAnswer, error_of
 from revisit.service.domain.identity import TenantId
 from revisit.service.domain.records import JobRecord
 from revisit.service.domain.states import OperationKind, OperationState
 from revisit.service.features.operations.calls import Operations
+from revisit.service.features.resources.call_context import CallContext
 from revisit.service.features.resources.views import OperationView
-from revisit.service.ports.storage import Storage
 from revisit.service.ports.transactions import UnitOfWork
 
 Result = dict[str, Any]
@@ -24,11 +22,9 @@ Result = dict[str, Any]
 class WorkerAnswers:
     """Asks the workers."""
 
-    def __init__(self, storage: Storage, admission: Admission, jobs: JobPosting, operations: Operations) -> None:
-        """Questions are jobs posted through `jobs`; `operations` waits for their results."""
-        self._storage = storage
-        self._admission = admission
-        self._jobs = jobs
+    def __init__(self, context: CallContext, operations: Operations) -> None:
+        """Questions are jobs; `operations` waits for their results."""
+        self._context = context
         self._operations = operations
 
     async def answer(
@@ -45,10 +41,10 @@ class WorkerAnswers:
         A job that nobody waits for any more is dropped. One that has ended by then stays, and `discard`, which may
         block, is given its result, as nobody else is.
         """
-        job = self._jobs.made(tenant, kind, subject, payload)
+        job = self._context.jobs.made(tenant, kind, subject, payload)
         operation: OperationView | None = None
         try:
-            await self._storage.write(partial(self._jobs.enqueue, job=job))
+            await self._context.storage.write(partial(self._context.jobs.enqueue, job=job))
             operation = await self._operations.wait(tenant, job.operation_id, timeout_s)
         finally:
             # A caller that leaves meanwhile does not undo the job: it is queued before this, or never.
@@ -57,12 +53,12 @@ class WorkerAnswers:
         if operation.failure is not None:
             raise error_of(operation.failure.code, operation.failure.message)
         if operation.result is None:
-            self._admission.require_running()
+            self._context.admission.require_running()
             raise NoAnswer(f"no worker answered within {timeout_s:g} s, and the query was dropped")
         return operation.result
 
     async def _release(self, job: JobRecord, discard: Callable[[Result], None]) -> None:
-        unread = await self._storage.write(partial(_drop, asked=job))
+        unread = await self._context.storage.write(partial(_drop, asked=job))
         if unread is not None:
             await asyncio.to_thread(discard, unread)
 

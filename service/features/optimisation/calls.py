@@ -10,11 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from revisit.core.geometry.se3 import Matrix4
-from revisit.service.capacity.admission import Admission
 from revisit.service.domain import limits
 from revisit.service.domain.errors import NotFound
 from revisit.service.domain.identity import SubmapKey, TenantId
-from revisit.service.domain.policy import Policy
 from revisit.service.domain.records import MapRecord, MapVersionRecord, SessionPosesRecord
 from revisit.service.domain.states import LoopState
 from revisit.service.failpoints import failpoint
@@ -33,11 +31,11 @@ from revisit.service.features.graph.session_poses import (
     unpack_loops,
 )
 from revisit.service.features.optimisation.rows import MAP_REVERTED, forget_versions, judge_loops
-from revisit.service.features.resources.paging import Lists, Page, PageRequest
+from revisit.service.features.resources.call_context import CallContext
+from revisit.service.features.resources.paging import Page, PageRequest
 from revisit.service.features.resources.views import PostedOperation, operation_view
-from revisit.service.ports.clock import Clock
 from revisit.service.ports.map_optimiser import AUDITED, FAULTS
-from revisit.service.ports.storage import Storage, require_map
+from revisit.service.ports.storage import require_map
 from revisit.service.ports.transactions import UnitOfWork
 
 
@@ -73,53 +71,49 @@ class SubmapPoseView:
 class MapVersions:
     """Optimise, get, list and bring back."""
 
-    def __init__(self, storage: Storage, lists: Lists, admission: Admission, clock: Clock, policy: Policy) -> None:
-        """Versions are kept in `storage`."""
-        self._storage = storage
-        self._lists = lists
-        self._admission = admission
-        self._clock = clock
-        self._policy = policy
+    def __init__(self, context: CallContext) -> None:
+        """Versions are kept in the storage of the context."""
+        self._context = context
 
     async def optimise(self, tenant: TenantId, map_id: str) -> PostedOperation:
         """Queue an optimisation; one that waits already is due at once. Raises NotFound, Draining."""
-        self._admission.require_running()
-        return await self._storage.write(partial(self._optimise, tenant=tenant, map_id=map_id))
+        self._context.admission.require_running()
+        return await self._context.storage.write(partial(self._optimise, tenant=tenant, map_id=map_id))
 
     def _optimise(self, uow: UnitOfWork, tenant: TenantId, map_id: str) -> PostedOperation:
         require_map(uow, tenant, map_id)
         waiting = waiting_optimisation(uow, tenant, map_id)
         if waiting is not None:
             return PostedOperation(operation_view(brought_forward(uow, waiting)), replay=True)
-        posted = post_optimisation(uow, tenant, map_id, self._policy, self._clock.wall_ns())
+        posted = post_optimisation(uow, tenant, map_id, self._context.policy, self._context.clock.wall_ns())
         return PostedOperation(operation_view(posted), replay=False)
 
     async def list(self, tenant: TenantId, map_id: str, page: PageRequest) -> Page[MapVersionView]:
         """The versions that are kept, oldest first. Raises NotFound for the map."""
         find = partial(_versions, tenant=tenant, map_id=map_id)
-        return await self._lists.page(tenant, page, find, lambda _, view: view)
+        return await self._context.lists.page(tenant, page, find, lambda _, view: view)
 
     async def get(self, tenant: TenantId, map_id: str, version: int) -> MapVersionView:
         """Raises NotFound."""
-        return await self._storage.read(partial(version_seen, tenant=tenant, map_id=map_id, version=version))
+        return await self._context.storage.read(partial(version_seen, tenant=tenant, map_id=map_id, version=version))
 
     async def poses(self, tenant: TenantId, map_id: str, version: int, page: PageRequest) -> Page[SubmapPoseView]:
         """The submaps of a version, by session and in the order of the drive. Raises NotFound."""
         find = partial(_poses, tenant=tenant, map_id=map_id, version=version)
-        return await self._lists.page(tenant, page, find, lambda _, view: view)
+        return await self._context.lists.page(tenant, page, find, lambda _, view: view)
 
     async def revert(self, tenant: TenantId, map_id: str, version: int) -> MapVersionView:
         """Bring back the rows of an earlier version as a new one; the one in force is left as it is.
 
         An optimisation that waits is dropped, one that runs does not move the map again. Raises NotFound, Draining.
         """
-        self._admission.require_running()
+        self._context.admission.require_running()
         limits.MAP_VERSION.validated(version, "version")
         entry = audit.noted(tenant, "map_reverted", f"maps/{map_id}", version=version)
-        return await self._storage.write(partial(self._revert, map_id=map_id, version=version, entry=entry))
+        return await self._context.storage.write(partial(self._revert, map_id=map_id, version=version, entry=entry))
 
     def _revert(self, uow: UnitOfWork, map_id: str, version: int, entry: AuditEntry) -> MapVersionView:
-        tenant, now_ns = TenantId(entry.tenant), self._clock.wall_ns()
+        tenant, now_ns = TenantId(entry.tenant), self._context.clock.wall_ns()
         current = require_map(uow, tenant, map_id)
         wanted = _require_version(uow, current, version)
         if version == current.map_version:
@@ -128,7 +122,7 @@ class MapVersions:
         drop_waiting(uow, tenant, map_id, MAP_REVERTED, now_ns)
         restored, row = restore_version(uow, current, version, now_ns)
         failpoint("revert.after_rows")
-        forget_versions(uow, tenant, map_id, restored.map_version - self._policy.map_versions_kept)
+        forget_versions(uow, tenant, map_id, restored.map_version - self._context.policy.map_versions_kept)
         return _view(uow, restored, row)
 
 

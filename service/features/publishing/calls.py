@@ -9,8 +9,7 @@ from functools import partial
 from typing import Any
 
 from revisit.core.errors import BadField
-from revisit.service.capacity.admission import Admission
-from revisit.service.capacity.backlog import JobPosting, same_job
+from revisit.service.capacity.backlog import same_job
 from revisit.service.domain import limits
 from revisit.service.domain.errors import NotFound
 from revisit.service.domain.identity import TenantId
@@ -21,10 +20,10 @@ from revisit.service.features.audit.calls import AuditEntry
 from revisit.service.features.deletion.blob_references import Blob, BlobCollector
 from revisit.service.features.optimisation.calls import version_seen
 from revisit.service.features.publishing.layout import MapLayout
-from revisit.service.features.resources.paging import Lists, Page, PageRequest
+from revisit.service.features.resources.call_context import CallContext
+from revisit.service.features.resources.paging import Page, PageRequest
 from revisit.service.features.resources.views import PostedOperation, operation_view
 from revisit.service.ports.blobs import MAP_LAYOUT_BLOB, NEURAL_MAP_BLOB
-from revisit.service.ports.clock import Clock
 from revisit.service.ports.storage import Storage, require_map
 from revisit.service.ports.transactions import UnitOfWork
 
@@ -64,27 +63,15 @@ class OpenMapFile:
 class MapFiles:
     """Publish, get, list, enable, delete, open."""
 
-    def __init__(
-        self,
-        storage: Storage,
-        lists: Lists,
-        admission: Admission,
-        jobs: JobPosting,
-        collector: BlobCollector,
-        clock: Clock,
-    ) -> None:
-        """Files are made by jobs posted through `jobs`; `collector` deletes the blobs of deleted ones."""
-        self._storage = storage
-        self._lists = lists
-        self._admission = admission
-        self._jobs = jobs
-        self._collector = collector
-        self._clock = clock
+    def __init__(self, context: CallContext) -> None:
+        """Files are made by jobs."""
+        self._context = context
+        self._collector = BlobCollector(context.storage)
 
     async def publish(self, tenant: TenantId, map_id: str, version: int, description: str = "") -> PostedOperation:
         """Queue the making of a file. Raises NotFound, BadField, WorkersBusy, Draining, StorageFull."""
-        self._admission.require_running()
-        self._admission.require_storage()
+        self._context.admission.require_running()
+        self._context.admission.require_storage()
         limits.MAP_VERSION.validated(version, "version")
         if len(description) > limits.NOTE_CHARACTERS or not description.isprintable():
             raise BadField(
@@ -92,41 +79,41 @@ class MapFiles:
             )
         payload = {"map_id": map_id, "version": version, "description": description}
         entry = audit.noted(tenant, "map_published", f"maps/{map_id}/versions/{version}")
-        return await self._storage.write(partial(self._post, tenant=tenant, payload=payload, entry=entry))
+        return await self._context.storage.write(partial(self._post, tenant=tenant, payload=payload, entry=entry))
 
     async def get(self, tenant: TenantId, map_id: str, version: int) -> MapFileView:
         """Raises NotFound."""
         read = partial(_require_file, tenant=tenant, map_id=map_id, version=version)
-        return _view(await self._storage.read(read))
+        return _view(await self._context.storage.read(read))
 
     async def list(self, tenant: TenantId, map_id: str, page: PageRequest) -> Page[MapFileView]:
         """The files of a map, oldest first. Raises NotFound."""
         find = partial(_files, tenant=tenant, map_id=map_id)
-        return await self._lists.page(tenant, page, find, lambda _, view: view)
+        return await self._context.lists.page(tenant, page, find, lambda _, view: view)
 
     async def enable(self, tenant: TenantId, map_id: str, version: int) -> MapFileView:
         """Say that robots are to use this file, and no other of the map. Raises NotFound, Draining."""
-        self._admission.require_running()
+        self._context.admission.require_running()
         entry = audit.noted(tenant, "map_enabled", f"maps/{map_id}/files/{version}")
         work = partial(self._enable, map_id=map_id, version=version, entry=entry)
-        return _view(await self._storage.write(work))
+        return _view(await self._context.storage.write(work))
 
     async def delete(self, tenant: TenantId, map_id: str, version: int) -> None:
         """Delete a file; the version stays. Raises NotFound, Draining."""
-        self._admission.require_running()
+        self._context.admission.require_running()
         entry = audit.noted(tenant, "map_file_deleted", f"maps/{map_id}/files/{version}")
-        doomed = await self._storage.write(partial(self._delete, map_id=map_id, version=version, entry=entry))
+        doomed = await self._context.storage.write(partial(self._delete, map_id=map_id, version=version, entry=entry))
         await self._collector.collect(tenant, doomed)
 
     async def open(self, tenant: TenantId, map_id: str, version: int) -> OpenMapFile:
         """A file to be sent. Raises NotFound, DataLoss."""
         read = partial(_require_file, tenant=tenant, map_id=map_id, version=version)
-        record = await self._storage.read(read)
+        record = await self._context.storage.read(read)
         layout = await asyncio.to_thread(self._layout, tenant, record.layout_sha256)
-        return OpenMapFile(_view(record), layout, self._storage, tenant)
+        return OpenMapFile(_view(record), layout, self._context.storage, tenant)
 
     def _layout(self, tenant: TenantId, sha256: str) -> MapLayout:
-        return MapLayout.from_blob(self._storage.blobs.get(tenant, MAP_LAYOUT_BLOB, sha256))
+        return MapLayout.from_blob(self._context.storage.blobs.get(tenant, MAP_LAYOUT_BLOB, sha256))
 
     def _post(self, uow: UnitOfWork, tenant: TenantId, payload: dict[str, Any], entry: AuditEntry) -> PostedOperation:
         version_seen(uow, tenant, payload["map_id"], payload["version"])
@@ -134,8 +121,8 @@ class MapFiles:
         waiting = same_job(uow, tenant, OperationKind.PUBLISH_MAP, subject, payload)
         if waiting is not None:
             return PostedOperation(operation_view(waiting), replay=True)
-        audit.append(uow, self._clock.wall_ns(), entry)
-        posted = self._jobs.post(uow, tenant, OperationKind.PUBLISH_MAP, subject, payload)
+        audit.append(uow, self._context.clock.wall_ns(), entry)
+        posted = self._context.jobs.post(uow, tenant, OperationKind.PUBLISH_MAP, subject, payload)
         return PostedOperation(operation_view(posted), replay=False)
 
     def _enable(self, uow: UnitOfWork, map_id: str, version: int, entry: AuditEntry) -> MapFileRecord:
@@ -143,7 +130,7 @@ class MapFiles:
         wanted = _require_file(uow, tenant, map_id, version)
         if wanted.state == MapFileState.ENABLED:
             return wanted
-        audit.append(uow, self._clock.wall_ns(), entry)
+        audit.append(uow, self._context.clock.wall_ns(), entry)
         for row in uow.map_files.find(tenant, map_id=map_id, state=MapFileState.ENABLED.value):
             uow.map_files.replace(replace(row, state=MapFileState.DISABLED.value))
         enabled = replace(wanted, state=MapFileState.ENABLED.value)
@@ -153,7 +140,7 @@ class MapFiles:
     def _delete(self, uow: UnitOfWork, map_id: str, version: int, entry: AuditEntry) -> set[Blob]:
         tenant = TenantId(entry.tenant)
         record = _require_file(uow, tenant, map_id, version)
-        audit.append(uow, self._clock.wall_ns(), entry)
+        audit.append(uow, self._context.clock.wall_ns(), entry)
         uow.map_files.delete(tenant, number=record.number)
         return {(MAP_LAYOUT_BLOB, record.layout_sha256)}
 

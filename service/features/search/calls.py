@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from revisit.core.errors import BadField, DescriptorModelMismatch
 from revisit.core.geometry import se3
 from revisit.core.geometry.se3 import Matrix4, pose_row
-from revisit.service.capacity.admission import Admission
 from revisit.service.domain import limits
 from revisit.service.domain.identity import SubmapKey, TenantId
 from revisit.service.domain.states import OperationKind
@@ -39,9 +38,10 @@ from revisit.service.features.ingest.clouds import (
     reading_points,
 )
 from revisit.service.features.operations.worker_answers import WorkerAnswers
+from revisit.service.features.resources.call_context import CallContext
 from revisit.service.features.waiting.freshness import Freshness, ReadYourWrites
 from revisit.service.ports.blobs import QUERY_CLOUD_BLOB
-from revisit.service.ports.storage import Storage, require_descriptor, require_map, require_submap
+from revisit.service.ports.storage import require_descriptor, require_map, require_submap
 from revisit.service.ports.transactions import UnitOfWork
 
 
@@ -69,16 +69,14 @@ class Searches:
 
     def __init__(
         self,
-        storage: Storage,
-        admission: Admission,
+        context: CallContext,
         decoder: CloudDecoder,
         memory: PlaceMemory,
         answers: WorkerAnswers,
         writes: ReadYourWrites,
     ) -> None:
         """Clouds are described by workers, which `answers` asks."""
-        self._storage = storage
-        self._admission = admission
+        self._context = context
         self._decoder = decoder
         self._memory = memory
         self._answers = answers
@@ -161,17 +159,17 @@ class Searches:
 
         A query that nobody waits for any more is dropped: its job goes with its cloud.
         """
-        self._admission.require_storage()
-        await self._storage.read(partial(_require_searchable, tenant=tenant, payload=payload))
-        async with self._admission.cloud(tenant, refused_points=reading_points(cloud)) as decoded:
+        self._context.admission.require_storage()
+        await self._context.storage.read(partial(_require_searchable, tenant=tenant, payload=payload))
+        async with self._context.admission.cloud(tenant, refused_points=reading_points(cloud)) as decoded:
             packed, points = await self._decoder.run(tenant, _accept, cloud)
             decoded(points)
-            sha256 = await self._storage.put_blob(tenant, QUERY_CLOUD_BLOB, packed)
+            sha256 = await self._context.storage.put_blob(tenant, QUERY_CLOUD_BLOB, packed)
         try:
             content = {**payload, "cloud_sha256": sha256}
             return await self._answers.answer(tenant, kind, f"maps/{payload['map_id']}", content, timeout_s)
         finally:
-            gone = asyncio.to_thread(self._storage.blobs.delete, tenant, QUERY_CLOUD_BLOB, sha256)
+            gone = asyncio.to_thread(self._context.storage.blobs.delete, tenant, QUERY_CLOUD_BLOB, sha256)
             await asyncio.shield(gone)
 
 

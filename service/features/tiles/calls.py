@@ -14,8 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from revisit.core.errors import BadField
-from revisit.service.capacity.admission import Admission
-from revisit.service.capacity.backlog import JobPosting, same_job
+from revisit.service.capacity.backlog import same_job
 from revisit.service.domain import limits
 from revisit.service.domain.errors import NoAnswer, error_of
 from revisit.service.domain.identity import TenantId
@@ -31,12 +30,12 @@ from revisit.service.features.catalogue.downloads import (
     any_room,
 )
 from revisit.service.features.operations.calls import Operations
-from revisit.service.features.resources.paging import Lists, Page, PageRequest
+from revisit.service.features.resources.call_context import CallContext
+from revisit.service.features.resources.paging import Page, PageRequest
 from revisit.service.features.tiles.files import render_tile
 from revisit.service.features.tiles.rows import Tiling, read_plan, read_tiling
 from revisit.service.ports.blobs import TILE_BLOB
 from revisit.service.ports.map_tiles import TileKey, stored_tile
-from revisit.service.ports.storage import Storage
 from revisit.service.ports.transactions import UnitOfWork
 
 
@@ -93,29 +92,16 @@ class MapQuestion:
 class MapTiles:
     """List, download, measure."""
 
-    def __init__(
-        self,
-        storage: Storage,
-        lists: Lists,
-        admission: Admission,
-        jobs: JobPosting,
-        operations: Operations,
-        rendering: Rendering,
-        policy: Policy,
-    ) -> None:
-        """Tiles are made by jobs posted through `jobs`; `operations` waits for them; `rendering` makes their files."""
-        self._storage = storage
-        self._lists = lists
-        self._admission = admission
-        self._jobs = jobs
+    def __init__(self, context: CallContext, operations: Operations, rendering: Rendering) -> None:
+        """Tiles are made by jobs: `operations` waits for them, `rendering` makes their files."""
+        self._context = context
         self._operations = operations
-        self._policy = policy
         self._rendering = rendering
 
     async def list(self, tenant: TenantId, map_id: str, version: int, page: PageRequest) -> Page[MapTileView]:
         """The tiles that submaps may reach into, by frame, column and row. Raises NotFound."""
-        find = partial(_tiles, policy=self._policy, tenant=tenant, map_id=map_id, version=version)
-        return await self._lists.page(tenant, page, find, lambda _, view: view)
+        find = partial(_tiles, policy=self._context.policy, tenant=tenant, map_id=map_id, version=version)
+        return await self._context.lists.page(tenant, page, find, lambda _, view: view)
 
     async def make(self, tenant: TenantId, key: TileKey) -> None:
         """Wait until a tile is there: a download then holds no slot meanwhile. Raises as `download`."""
@@ -138,7 +124,7 @@ class MapTiles:
         """
         sha256 = await self._made(tenant, key)
         await room(RENDERING_BYTES)
-        blob = await asyncio.to_thread(self._storage.blobs.get, tenant, TILE_BLOB, sha256)
+        blob = await asyncio.to_thread(self._context.storage.blobs.get, tenant, TILE_BLOB, sha256)
         return await self._rendering.of(tenant, partial(render_tile, blob, key, kind, file_format))
 
     async def distances(self, tenant: TenantId, question: MapQuestion) -> MapDistances:
@@ -160,11 +146,11 @@ class MapTiles:
 
     async def _made(self, tenant: TenantId, key: TileKey) -> str:
         """The hash of the blob of a tile, made by a worker where it is missing."""
-        sha256 = await self._storage.read(partial(self._known, tenant=tenant, key=key))
+        sha256 = await self._context.storage.read(partial(self._known, tenant=tenant, key=key))
         if sha256 is None:
             payload = {"map_id": key.map_id, "version": key.version, "tile": key.tile_id}
             await self._answer(tenant, OperationKind.MAKE_TILE, key.name, payload)
-            sha256 = await self._storage.read(partial(self._known, tenant=tenant, key=key))
+            sha256 = await self._context.storage.read(partial(self._known, tenant=tenant, key=key))
         if sha256 is None:
             raise NoAnswer("the tile was deleted while it was made; ask again")
         return sha256
@@ -172,7 +158,7 @@ class MapTiles:
     def _known(self, uow: UnitOfWork, tenant: TenantId, key: TileKey) -> str | None:
         sha256 = stored_tile(uow, tenant, key)
         if sha256 is None:
-            read_plan(uow, self._policy, tenant, key)
+            read_plan(uow, self._context.policy, tenant, key)
         return sha256
 
     async def _measured(self, tenant: TenantId, question: MapQuestion) -> dict[str, Any]:
@@ -180,9 +166,9 @@ class MapTiles:
         if not np.isfinite(points).all() or np.abs(points).max(initial=0.0) > limits.PRIOR_COORDINATE_M.most:
             raise BadField(f"coordinates must be in {limits.PRIOR_COORDINATE_M}", field="points_m")
         read = partial(
-            read_tiling, policy=self._policy, tenant=tenant, map_id=question.map_id, version=question.version
+            read_tiling, policy=self._context.policy, tenant=tenant, map_id=question.map_id, version=question.version
         )
-        tiling = await self._storage.read(read)
+        tiling = await self._context.storage.read(read)
         frame = tiling.frame(question.frame).frame
         _require_few_tiles(tiling, question)
         payload = {
@@ -196,14 +182,14 @@ class MapTiles:
         self, tenant: TenantId, kind: OperationKind, subject: str, payload: dict[str, Any]
     ) -> dict[str, Any]:
         """Queue a job, or join the same one, and wait for it. Raises the worker's error, NoAnswer, WorkersBusy."""
-        self._admission.require_storage()
+        self._context.admission.require_storage()
         post = partial(self._posted, tenant=tenant, kind=kind, subject=subject, payload=payload)
-        job = await self._storage.write(post)
+        job = await self._context.storage.write(post)
         operation = await self._operations.wait(tenant, job.operation_id, limits.TILE_WAIT_S)
         if operation.failure is not None:
             raise error_of(operation.failure.code, operation.failure.message)
         if operation.result is None:
-            self._admission.require_running()
+            self._context.admission.require_running()
             raise NoAnswer(f"no worker answered within {limits.TILE_WAIT_S:g} s; ask again")
         return operation.result
 
@@ -211,7 +197,7 @@ class MapTiles:
         self, uow: UnitOfWork, tenant: TenantId, kind: OperationKind, subject: str, payload: dict[str, Any]
     ) -> JobRecord:
         under_way = same_job(uow, tenant, kind, subject, payload, (OperationState.QUEUED, OperationState.RUNNING))
-        return under_way or self._jobs.post(uow, tenant, kind, subject, payload)
+        return under_way or self._context.jobs.post(uow, tenant, kind, subject, payload)
 
 
 def _tiles(

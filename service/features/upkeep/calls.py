@@ -8,13 +8,12 @@ from dataclasses import dataclass
 from functools import partial
 
 from revisit.core.errors import RevisitError
-from revisit.service.capacity.admission import Admission
 from revisit.service.domain.identity import TenantId
 from revisit.service.domain.records import WorkerRecord
 from revisit.service.domain.states import OperationState, SubmapState
 from revisit.service.features.index.keeping import IndexHealth
+from revisit.service.features.resources.call_context import CallContext
 from revisit.service.ports.disk import DiskSpace
-from revisit.service.ports.storage import Storage
 from revisit.service.ports.transactions import UnitOfWork
 
 WORKER_SEEN_WITHIN_MS = 15_000
@@ -56,12 +55,9 @@ class ServiceStatus:
 class System:
     """Readiness, status, drain."""
 
-    def __init__(
-        self, storage: Storage, admission: Admission, disk: DiskSpace, index: IndexHealth, version: str
-    ) -> None:
+    def __init__(self, context: CallContext, disk: DiskSpace, index: IndexHealth, version: str) -> None:
         """`index` is the state of this process's index; `version` is the product's."""
-        self._storage = storage
-        self._admission = admission
+        self._context = context
         self._disk = disk
         self._index = index
         self._version = version
@@ -82,7 +78,7 @@ class System:
 
     async def _checked(self) -> Readiness:
         try:
-            workers = await self._storage.read(self._alive)
+            workers = await self._context.storage.read(self._alive)
         except RevisitError as error:
             return Readiness(False, (f"database: {error.message}",))
         return Readiness(True, (), tuple(self._degraded(len(workers))))
@@ -98,7 +94,7 @@ class System:
 
     async def status(self, tenant: TenantId) -> ServiceStatus:
         """Queue depth, index size, workers and model version."""
-        return await self._storage.read(partial(self._status, tenant=tenant))
+        return await self._context.storage.read(partial(self._status, tenant=tenant))
 
     def _status(self, uow: UnitOfWork, tenant: TenantId) -> ServiceStatus:
         alive = self._alive(uow)
@@ -117,9 +113,9 @@ class System:
 
     def drain(self) -> None:
         """From now on refuse new work with Draining; work in progress ends."""
-        self._admission.stop()
+        self._context.admission.stop()
 
     @property
     def draining(self) -> bool:
         """Whether `drain` was called."""
-        return self._admission.stopping
+        return self._context.admission.stopping

@@ -8,16 +8,15 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 from revisit.core.errors import BadField
-from revisit.service.capacity.admission import Admission
 from revisit.service.domain import limits
 from revisit.service.domain.errors import NotFound, QuotaReached
 from revisit.service.domain.identity import TenantId, content_hash, validated_id
 from revisit.service.domain.states import EventKind, WebhookState
 from revisit.service.domain.webhooks import DeliveryRecord, WebhookRecord
-from revisit.service.features.resources.paging import Lists, Page, PageRequest
+from revisit.service.features.resources.call_context import CallContext
+from revisit.service.features.resources.paging import Page, PageRequest
 from revisit.service.features.webhooks.rules import validated_url
-from revisit.service.ports.clock import Clock
-from revisit.service.ports.storage import Storage, require_map, require_same_content
+from revisit.service.ports.storage import require_map, require_same_content
 from revisit.service.ports.transactions import UnitOfWork
 
 SECRET_PREFIX = "whsec_"
@@ -73,15 +72,10 @@ class CreatedWebhook:
 class Webhooks:
     """The webhooks of a tenant."""
 
-    def __init__(
-        self, storage: Storage, lists: Lists, admission: Admission, clock: Clock, private_networks: bool
-    ) -> None:
-        """With `private_networks`, webhooks may lead anywhere, and over plain HTTP."""
-        self._storage = storage
-        self._lists = lists
-        self._admission = admission
-        self._clock = clock
-        self._private = private_networks
+    def __init__(self, context: CallContext) -> None:
+        """With private networks in the policy, webhooks may lead anywhere, and over plain HTTP."""
+        self._context = context
+        self._private = context.policy.webhook_private_networks
 
     async def create(self, tenant: TenantId, command: CreateWebhook) -> CreatedWebhook:
         """Send the events from now on to a URL.
@@ -89,7 +83,7 @@ class Webhooks:
         Raises BadField; NotFound for the map; AlreadyExists where the id is taken by other content; QuotaReached;
         RateLimited, Draining.
         """
-        self._admission.charge_creation(tenant)
+        self._context.admission.charge_creation(tenant)
         if not set(command.kinds) <= set(TOLD_OF):
             raise BadField(f"kinds may be {', '.join(kind.value for kind in TOLD_OF)}", field="kinds")
         kinds = tuple(sorted({kind.value for kind in command.kinds}))
@@ -106,17 +100,17 @@ class Webhooks:
             told=0,
             failures=0,
             due_at_ns=0,
-            created_at_ns=self._clock.wall_ns(),
+            created_at_ns=self._context.clock.wall_ns(),
         )
-        return await self._storage.write(partial(_add, record=record))
+        return await self._context.storage.write(partial(_add, record=record))
 
     async def get(self, tenant: TenantId, webhook_id: str) -> WebhookView:
         """Raises NotFound."""
-        return _view(await self._storage.read(partial(_require, tenant=tenant, webhook_id=webhook_id)))
+        return _view(await self._context.storage.read(partial(_require, tenant=tenant, webhook_id=webhook_id)))
 
     async def list(self, tenant: TenantId, page: PageRequest) -> Page[WebhookView]:
         """The tenant's webhooks, oldest first."""
-        return await self._lists.page(
+        return await self._context.lists.page(
             tenant,
             page,
             lambda uow, after, limit: uow.webhooks.find(tenant, after=after, limit=limit),
@@ -126,17 +120,17 @@ class Webhooks:
     async def deliveries(self, tenant: TenantId, webhook_id: str, page: PageRequest) -> Page[DeliveryRecord]:
         """The last attempts to deliver, oldest first. Raises NotFound."""
         find = partial(_attempts, tenant=tenant, webhook_id=webhook_id)
-        return await self._lists.page(tenant, page, find, lambda _, record: record)
+        return await self._context.lists.page(tenant, page, find, lambda _, record: record)
 
     async def resume(self, tenant: TenantId, webhook_id: str) -> WebhookView:
         """Try again at once, also where it was suspended. Raises NotFound, Draining."""
-        self._admission.require_running()
-        return await self._storage.write(partial(_resume, tenant=tenant, webhook_id=webhook_id))
+        self._context.admission.require_running()
+        return await self._context.storage.write(partial(_resume, tenant=tenant, webhook_id=webhook_id))
 
     async def delete(self, tenant: TenantId, webhook_id: str) -> None:
         """Send nothing more. Raises NotFound, Draining."""
-        self._admission.require_running()
-        await self._storage.write(partial(_delete, tenant=tenant, webhook_id=webhook_id))
+        self._context.admission.require_running()
+        await self._context.storage.write(partial(_delete, tenant=tenant, webhook_id=webhook_id))
 
 
 def _add(uow: UnitOfWork, record: WebhookRecord) -> CreatedWebhook:
