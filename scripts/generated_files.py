@@ -34,12 +34,11 @@ OF_AN_OPERATOR = {
     "submap.stride": ("REVISIT_STRIDE_M", "stride_m"),
     "scene_scale": ("", "scene_scale"),
     "profile": ("", "profile"),
-    "loop.leave_distance": ("REVISIT_LEAVE_DISTANCE_M", "leave_distance_m"),
-    "loop.candidates": ("REVISIT_LOOP_CANDIDATES", "loop_policy.candidates"),
-    "loop.enough": ("REVISIT_LOOPS_ENOUGH", ""),
-    "verification.min_score": ("REVISIT_MIN_SCORE", "loop_policy.min_score"),
-    "verification.min_overlap": ("REVISIT_MIN_OVERLAP", "loop_policy.min_overlap"),
-    "verification.max_seen_through": ("REVISIT_MAX_SEEN_THROUGH", "loop_policy.max_seen_through"),
+    "loop.leave_distance": ("", "leave_distance_m"),
+    "loop.candidates": ("", "loop_policy.candidates"),
+    "verification.min_score": ("", "loop_policy.min_score"),
+    "verification.min_overlap": ("", "loop_policy.min_overlap"),
+    "verification.max_seen_through": ("", "loop_policy.max_seen_through"),
 }
 """The parameters that can be set without changing the code: by a setting, and by a field of a map."""
 

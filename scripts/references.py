@@ -82,7 +82,7 @@ def errors() -> str:
 
 def settings() -> str:
     """docs/reference/settings.md."""
-    from revisit.service.settings import FOR_TESTS, GONE, GROUPS, Settings
+    from revisit.service.settings import GONE, GROUPS, ForTests, Settings
 
     parts = [
         "# Settings",
@@ -97,7 +97,9 @@ def settings() -> str:
     parts += [
         "## For tests",
         "No promise of stability.",
-        *(part for name in FOR_TESTS for part in _setting(name, Settings.model_fields[name])),
+        "### REVISIT_FOR_TESTS",
+        _sentence(str(Settings.model_fields["for_tests"].description)),
+        f"Default: `{ForTests().model_dump_json()}`.",
     ]
     rows = [f"| `REVISIT_{name.upper()}` | {_sentence(reason)} |" for name, reason in GONE.items()]
     parts += ["## Gone", "\n".join(["| former variable | instead |", "|---|---|", *rows])]
@@ -114,7 +116,7 @@ def _setting(name: str, field: Any) -> tuple[str, str]:
         default = "not set"
     else:
         default = f"`{field.default}`"
-    bounds = ", ".join(_bound(bound) for bound in field.metadata)
+    bounds = ", ".join(filter(None, map(_bound, field.metadata)))
     text = f"{_sentence(str(field.description))} Default: {default}." + (f" Bounds: {bounds}." if bounds else "")
     return f"### REVISIT_{name.upper()}", text
 

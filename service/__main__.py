@@ -52,9 +52,9 @@ def main(arguments: list[str] | None = None) -> int:
     except ValueError as error:
         return _refuse(f"REVISIT_LOG_LEVEL: {error}")
     try:
-        arm(settings.fail)
+        arm(settings.for_tests.fail)
     except ValueError as error:
-        return _refuse(f"REVISIT_FAIL: {error}")
+        return _refuse(f"REVISIT_FOR_TESTS: {error}")
     return _started(options, settings)
 
 

@@ -44,17 +44,18 @@ def read_grants(path: Path) -> dict[str, CertificateGrant]:
 
 
 def _token_verifier(settings: AccessSettings) -> TokenVerifier | None:
-    if settings.jwt_issuer is None or settings.jwt_audience is None or settings.jwt_keys is None:
+    issuer = settings.jwt
+    if issuer is None:
         return None
     # Only where tokens are taken: the library is of no use otherwise.
     from revisit.service.adapters.tokens import IssuerKeys, JwtVerifier, fetch_https, read_file
 
-    location = settings.jwt_keys
+    location = issuer.keys
     keys = IssuerKeys(lambda: fetch_https(location) if "://" in location else read_file(Path(location)))
     return JwtVerifier(
         keys,
-        issuer=settings.jwt_issuer,
-        audience=settings.jwt_audience,
-        tenant_claim=settings.jwt_tenant_claim,
-        max_lifetime_s=settings.jwt_max_lifetime_s,
+        issuer=issuer.issuer,
+        audience=issuer.audience,
+        tenant_claim=issuer.tenant_claim,
+        max_lifetime_s=issuer.max_lifetime_s,
     )

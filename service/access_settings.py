@@ -4,11 +4,45 @@ from __future__ import annotations
 
 import ipaddress
 from pathlib import Path
-from typing import Literal, Self
+from typing import Annotated, Any, Literal, Self
 from urllib.parse import urlsplit
 
-from pydantic import Field, model_validator
-from pydantic_settings import BaseSettings, SettingsConfigDict
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
+from pydantic_core import from_json
+from pydantic_settings import BaseSettings, NoDecode, SettingsConfigDict
+
+
+class TokenIssuer(BaseModel):
+    """Whose JSON Web Tokens are taken beside keys: `iss` and `aud` of a token, and the JWKS that it is verified with.
+
+    `keys` is a file, or an https URL on the issuer's own host. The claim `tenant_claim` names the tenant. Tokens that
+    expire more than `max_lifetime_s` from now are refused.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    issuer: str = Field(min_length=1)
+    audience: str = Field(min_length=1)
+    keys: str = Field(min_length=1)
+    tenant_claim: str = Field(default="tenant", min_length=1)
+    max_lifetime_s: float = Field(default=86400.0, gt=0)
+
+    @model_validator(mode="after")
+    def _require_pinned_keys(self) -> Self:
+        url = urlsplit(self.keys)
+        if "://" in self.keys and (url.scheme != "https" or url.netloc != urlsplit(self.issuer).netloc):
+            raise ValueError("`keys` must be a file, or an https URL on the host of `issuer`")
+        return self
+
+
+def _content(value: Any) -> Any:
+    """The JSON of a file that a variable names. Raises ValueError where there is none."""
+    if not isinstance(value, (str, Path)):
+        return value
+    try:
+        return from_json(Path(value).read_bytes())
+    except OSError as error:
+        raise ValueError(f"{value} cannot be read: {error.strerror}") from error
 
 
 class AccessSettings(BaseSettings):
@@ -38,14 +72,11 @@ class AccessSettings(BaseSettings):
         default=None,
         description='JSON file that maps names (SAN) of client certificates to `{"tenant": ..., "scopes": [...]}`',
     )
-    jwt_issuer: str | None = Field(default=None, description="`iss` of the JSON Web Tokens that are taken beside keys")
-    jwt_audience: str | None = Field(default=None, description="`aud` that a token must name")
-    jwt_keys: str | None = Field(
-        default=None, description="JWKS of the issuer: a file, or an https URL on the issuer's own host"
-    )
-    jwt_tenant_claim: str = Field(default="tenant", min_length=1, description="claim that names the tenant of a token")
-    jwt_max_lifetime_s: float = Field(
-        default=86400.0, gt=0, description="tokens that expire later than this from now are refused"
+    jwt: Annotated[TokenIssuer | None, NoDecode, BeforeValidator(_content)] = Field(
+        default=None,
+        description="JSON file about the tokens of an identity provider that are taken beside keys: "
+        '`{"issuer": "https://...", "audience": ..., "keys": JWKS file or https URL of the issuer}`; optional '
+        "`tenant_claim` (`tenant`) and `max_lifetime_s` (86400)",
     )
 
     @model_validator(mode="after")
@@ -56,10 +87,6 @@ class AccessSettings(BaseSettings):
             raise ValueError("REVISIT_CLIENT_CA needs REVISIT_TLS_CERTIFICATE")
         if self.client_certificates is not None and self.client_ca is None:
             raise ValueError("REVISIT_CLIENT_CERTIFICATES needs REVISIT_CLIENT_CA")
-        if len({value is None for value in (self.jwt_issuer, self.jwt_audience, self.jwt_keys)}) != 1:
-            raise ValueError("REVISIT_JWT_ISSUER, REVISIT_JWT_AUDIENCE and REVISIT_JWT_KEYS belong together")
-        if self.jwt_keys is not None and "://" in self.jwt_keys and not self._is_pinned(self.jwt_keys):
-            raise ValueError("REVISIT_JWT_KEYS must be an https URL on the host of REVISIT_JWT_ISSUER")
         return self
 
     @property
@@ -80,7 +107,4 @@ class AccessSettings(BaseSettings):
     @property
     def knows_callers_without_keys(self) -> bool:
         """Whether tokens or client certificates are taken."""
-        return self.jwt_issuer is not None or self.client_certificates is not None
-
-    def _is_pinned(self, url: str) -> bool:
-        return urlsplit(url).scheme == "https" and urlsplit(url).netloc == urlsplit(self.jwt_issuer or "").netloc
+        return self.jwt is not None or self.client_certificates is not None

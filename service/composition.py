@@ -208,7 +208,7 @@ def offline_use_cases(settings: Settings) -> Iterator[UseCases]:
 def offline_reembedding(settings: Settings) -> Iterator[Reembedding]:
     """Re-description of maps by the installed model, on the database of a service that may or may not run."""
     context = build_context(settings, gateway=False)
-    recogniser, drafts = load_recogniser(settings.recogniser), FileDrafts(settings.home / DRAFTS)
+    recogniser, drafts = load_recogniser(settings.for_tests.recogniser), FileDrafts(settings.home / DRAFTS)
     try:
         yield Reembedding(context.transactions, context.blobs, context.policy, recogniser, drafts)
     finally:
@@ -225,7 +225,7 @@ def run_worker(settings: Settings, worker_id: str | None, parent_pid: int | None
     return_large_blocks(SPARE_BYTES)
     log.info("worker_loading")
     with logged_while_loading(log.info):
-        recogniser = load_recogniser(settings.recogniser)
+        recogniser = load_recogniser(settings.for_tests.recogniser)
     begin_anew_if_compiled()
     stopping = threading.Event()
     for number in STOP_SIGNALS:
@@ -235,7 +235,9 @@ def run_worker(settings: Settings, worker_id: str | None, parent_pid: int | None
     identity = WorkerIdentity(worker_id or f"worker-{secrets.token_hex(4)}", model, parent_pid)
     structlog.contextvars.bind_contextvars(worker=identity.worker_id)
     log.info("worker_ready", model_version=identity.model_version)
-    limits = WorkerLimits(settings.jobs_per_worker, settings.worker_memory_mb * 2**20 * 3 // 4, settings.job_timeout_s)
+    limits = WorkerLimits(
+        settings.for_tests.jobs_per_worker, settings.worker_memory_mb * 2**20 * 3 // 4, settings.job_timeout_s
+    )
     tracer = build_tracer(settings, "worker")
     worker = Worker(
         context,

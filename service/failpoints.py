@@ -1,8 +1,8 @@
 """Named points of the real code at which a test can end the process, fail the step or make it slow.
 
-REVISIT_FAIL="ingest.after_commit=kill@17" kills this process with SIGKILL when that point is reached for the 17th time;
-without `@n` every time counts. Several are separated by commas. Nothing is armed by default, and a point that is not
-armed costs one look at an empty dictionary.
+`fail` of REVISIT_FOR_TESTS, "ingest.after_commit=kill@17", kills this process with SIGKILL when that point is reached
+for the 17th time; without `@n` every time counts. Several are separated by commas. Nothing is armed by default, and a
+point that is not armed costs one look at an empty dictionary.
 """
 
 from __future__ import annotations

@@ -149,7 +149,8 @@ class _Gateway:
         tell_supervisor(STOPPING)
         use_cases.system.drain()
         http.should_exit = True
-        await asyncio.gather(rpc.stop(grace=self._settings.drain_s), serving, supervisor.stop(self._settings.drain_s))
+        drain_s = self._settings.for_tests.drain_s
+        await asyncio.gather(rpc.stop(grace=drain_s), serving, supervisor.stop(drain_s))
 
     def _failing_disk_ends(self, stop: asyncio.Event) -> Callable[[], None]:
         loop = asyncio.get_running_loop()
@@ -195,7 +196,7 @@ class _Gateway:
             ),
             log_config=None,
             access_log=False,
-            timeout_graceful_shutdown=int(self._settings.drain_s),
+            timeout_graceful_shutdown=int(self._settings.for_tests.drain_s),
             ssl_context_factory=None if tls is None else lambda *_: tls,
             **uvicorn_limits(),
         )

@@ -6,8 +6,11 @@ import os
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
+from typing import Annotated, Any
 
-from pydantic import Field
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
+from pydantic_core import from_json
+from pydantic_settings import NoDecode
 
 from revisit.core.config import PipelineConfig
 from revisit.service.access_settings import AccessSettings
@@ -19,23 +22,44 @@ from revisit.service.features.upkeep.retention import ANSWERS_KEPT_S, EVENTS_KEP
 GROUPS: Mapping[str, tuple[str, ...]] = {
     "Addresses and access": (
         "host", "http_port", "grpc_port", "metrics_port", "allowed_hosts", "insecure_bind", "authentication",
-        "tls_certificate", "tls_key", "client_ca", "client_certificates", "jwt_issuer", "jwt_audience", "jwt_keys",
-        "jwt_tenant_claim", "jwt_max_lifetime_s", "webhook_private_networks",
+        "tls_certificate", "tls_key", "client_ca", "client_certificates", "jwt", "webhook_private_networks",
     ),
     "Resources and limits": (
         "home", "workers", "worker_memory_mb", "job_timeout_s", "max_queued_jobs", "tenant_storage_mb",
-        "client_points_per_s", "tenant_points_per_s", "streams_per_client", "reserve_mb",
+        "client_points_per_s", "streams_per_client", "reserve_mb",
     ),
-    "Maps and loops": (
-        "tau_m", "stride_m", "leave_distance_m", "loop_candidates", "loops_enough", "min_score", "min_overlap",
-        "max_seen_through", "optimise_after_loops",
-    ),
+    "Maps and loops": ("tau_m", "stride_m", "optimise_after_loops"),
     "Logs and traces": ("log_level", "hash_tenants_in_logs", "otlp_endpoint"),
 }  # fmt: skip
 """The settings of an operator, as the reference page has them."""
 
-FOR_TESTS = ("recogniser", "lease_s", "max_attempts", "jobs_per_worker", "drain_s", "fail")
-"""Settings for tests alone, to make an hour a second."""
+
+class ForTests(BaseModel):
+    """What tests alone set, to make an hour a second, as one JSON object.
+
+    `recogniser`: the function that loads the method of a worker, as module:function. `lease_s`: a job is given to
+    another worker after this silence. `max_attempts`: runs of a job before it fails. `jobs_per_worker`: jobs after
+    which a worker is replaced. `drain_s`: time for requests and jobs to end on SIGTERM. `fail`: what happens at which
+    failpoints of service/failpoints.py, as point=action@n.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    recogniser: str = "revisit.service.adapters.core_recogniser:load_recogniser"
+    lease_s: float = Field(default=10.0, gt=0)
+    max_attempts: int = Field(default=3, ge=1)
+    jobs_per_worker: int = Field(default=500, ge=1)
+    drain_s: float = Field(default=10.0, gt=0, le=15)
+    fail: str = ""
+
+
+def _parsed(value: Any) -> Any:
+    """The JSON of a variable."""
+    return from_json(value) if isinstance(value, str) else value
+
+
+TENANT_TO_CLIENT = 2.0
+"""Rate limit of a tenant, in those of its clients: two that send as fast as they may leave nothing to a third."""
 
 GONE: Mapping[str, str] = {
     "device": "workers compute on the processor, by compiled code",
@@ -48,8 +72,21 @@ GONE: Mapping[str, str] = {
     "events_kept": f"{EVENTS_KEPT:,} events of a tenant are kept",
     "optimise_delay_s": f"loops settle for {Policy.optimise_delay_ms / 1000:g} s before an optimisation",
     "map_versions_kept": f"{Policy.map_versions_kept} versions of a map are kept",
+    "tenant_points_per_s": f"a tenant has {TENANT_TO_CLIENT:g} times REVISIT_CLIENT_POINTS_PER_S",
+    "leave_distance_m": "`leave_distance_m` of a map, else half of its tau_m",
+    "loop_candidates": "`candidates` in the loop policy of a map",
+    "loops_enough": f"{PipelineConfig().loop.enough} accepted loops that agree make further comparisons needless",
+    "min_score": "`min_score` in the loop policy of a map",
+    "min_overlap": "`min_overlap` in the loop policy of a map",
+    "max_seen_through": "`max_seen_through` in the loop policy of a map",
+    "jwt_issuer": "`issuer` in the file that REVISIT_JWT names",
+    "jwt_audience": "`audience` in the file that REVISIT_JWT names",
+    "jwt_keys": "`keys` in the file that REVISIT_JWT names",
+    "jwt_tenant_claim": "`tenant_claim` in the file that REVISIT_JWT names",
+    "jwt_max_lifetime_s": "`max_lifetime_s` in the file that REVISIT_JWT names",
+    **dict.fromkeys(ForTests.model_fields, "it is a member of REVISIT_FOR_TESTS"),
 }
-"""Former settings, and the constant that stands in the place of each."""
+"""Former settings, and what stands in the place of each."""
 
 
 class Settings(AccessSettings):
@@ -69,12 +106,6 @@ class Settings(AccessSettings):
     workers: int = Field(
         default_factory=lambda: max(1, (os.cpu_count() or 2) - 1), ge=0, le=256, description="worker processes"
     )
-    recogniser: str = Field(
-        default="revisit.service.adapters.core_recogniser:load_recogniser",
-        description="the function that loads the method of a worker, as module:function",
-    )
-    lease_s: float = Field(default=10.0, gt=0, description="a job is given to another worker after this silence")
-    max_attempts: int = Field(default=3, ge=1, description="runs of a job before it fails")
     max_queued_jobs: int = Field(
         default=1000, ge=1, description="limit of a tenant's backlog (waiting jobs); posts beyond it are refused"
     )
@@ -84,8 +115,9 @@ class Settings(AccessSettings):
         description="room (MiB) for the clouds of one tenant, at 12 bytes a point whatever they take on the disk; "
         "further scans and submaps are refused with QUOTA; unset for no limit",
     )
-    tenant_points_per_s: float = Field(default=20e6, gt=0, description="rate limit of one tenant, points a second")
-    client_points_per_s: float = Field(default=10e6, gt=0, description="rate limit of one API key, points a second")
+    client_points_per_s: float = Field(
+        default=10e6, gt=0, description="rate limit of one API key, points a second; a tenant has twice as much"
+    )
     streams_per_client: int = Field(default=8, ge=1, description="open streams of scans of one API key")
     webhook_private_networks: bool = Field(
         default=False,
@@ -98,7 +130,6 @@ class Settings(AccessSettings):
         description="accepted loop closures that the pose graph of a map has not seen yet, from which on the map is "
         "optimised by itself, once they have settled for a few seconds; 0 for only when somebody asks",
     )
-    jobs_per_worker: int = Field(default=500, ge=1, description="jobs after which a worker is replaced")
     job_timeout_s: float = Field(
         default=120.0,
         gt=0,
@@ -117,7 +148,6 @@ class Settings(AccessSettings):
         description="room (MiB) that a file in `home` keeps for when the disk is full; clients' data is refused while "
         "that room is given up or less than a quarter of it is free beside it; 0 for none",
     )
-    drain_s: float = Field(default=10.0, gt=0, le=15, description="time for requests and jobs to end on SIGTERM")
     otlp_endpoint: str = Field(
         default="",
         pattern=r"^(https?://[^/\s]+)?$",
@@ -127,9 +157,8 @@ class Settings(AccessSettings):
     hash_tenants_in_logs: bool = Field(
         default=False, description="log a hash (12 hex digits of SHA-256) in place of each tenant's and caller's name"
     )
-    fail: str = Field(
-        default="",
-        description="for tests: what happens at which failpoints of service/failpoints.py, as point=action@n",
+    for_tests: Annotated[ForTests, NoDecode, BeforeValidator(_parsed)] = Field(
+        default=ForTests(), description="JSON object of what tests alone set; see `ForTests` in service/settings.py"
     )
     tau_m: float = Field(
         default_factory=lambda: PipelineConfig().submap.tau,
@@ -142,45 +171,6 @@ class Settings(AccessSettings):
         ge=limits.STRIDE_M.least,
         le=limits.STRIDE_M.most,
         description="metres between submap starts",
-    )
-    leave_distance_m: float | None = Field(
-        default=None,
-        ge=limits.LEAVE_DISTANCE_M.least,
-        le=limits.LEAVE_DISTANCE_M.most,
-        description="metres that a drive must have been from a place, before it comes back, for a loop within it; half "
-        "of tau_m by default; a map may have its own",
-    )
-    loop_candidates: int = Field(
-        default_factory=lambda: PipelineConfig().loop.candidates,
-        ge=limits.LOOP_CANDIDATES.least,
-        le=limits.LOOP_CANDIDATES.most,
-        description="submaps most alike that are verified for each new one; a map may have its own",
-    )
-    loops_enough: int = Field(
-        default_factory=lambda: PipelineConfig().loop.enough,
-        ge=0,
-        le=limits.LOOP_CANDIDATES.most,
-        description="accepted loops of a new submap that agree where another candidate lies, so that this one is not "
-        "verified; 0: all candidates are",
-    )
-    min_score: float = Field(
-        default_factory=lambda: PipelineConfig().verification.min_score,
-        ge=limits.MIN_SCORE.least,
-        le=limits.MIN_SCORE.most,
-        description="smallest score of an accepted loop closure; a map may have its own",
-    )
-    min_overlap: float = Field(
-        default_factory=lambda: PipelineConfig().verification.min_overlap,
-        ge=limits.MIN_OVERLAP.least,
-        le=limits.MIN_OVERLAP.most,
-        description="smallest overlap of an accepted loop closure; a map may have its own",
-    )
-    max_seen_through: float = Field(
-        default_factory=lambda: PipelineConfig().verification.max_seen_through,
-        ge=limits.MAX_SEEN_THROUGH.least,
-        le=limits.MAX_SEEN_THROUGH.most,
-        description="largest share of what stands in either place that the other has looked through, of an accepted "
-        "loop closure; a map may have its own",
     )
 
     @property
@@ -197,24 +187,15 @@ class Settings(AccessSettings):
     def policy(self) -> Policy:
         """The rules that the use cases follow."""
         pipeline = PipelineConfig()
-        submap = replace(pipeline.submap, tau=self.tau_m, stride=self.stride_m)
-        loop = replace(
-            pipeline.loop,
-            leave_distance=self.tau_m / 2 if self.leave_distance_m is None else self.leave_distance_m,
-            candidates=self.loop_candidates,
-            enough=self.loops_enough,
-        )
-        verification = replace(
-            pipeline.verification,
-            min_score=self.min_score,
-            min_overlap=self.min_overlap,
-            max_seen_through=self.max_seen_through,
-        )
         return Policy(
-            pipeline=replace(pipeline, submap=submap, loop=loop, verification=verification),
+            pipeline=replace(
+                pipeline,
+                submap=replace(pipeline.submap, tau=self.tau_m, stride=self.stride_m),
+                loop=replace(pipeline.loop, leave_distance=self.tau_m / 2),
+            ),
             max_queued_jobs=self.max_queued_jobs,
-            max_attempts=self.max_attempts,
-            lease_ms=int(self.lease_s * 1000),
+            max_attempts=self.for_tests.max_attempts,
+            lease_ms=int(self.for_tests.lease_s * 1000),
             tenant_storage_bytes=None if self.tenant_storage_mb is None else self.tenant_storage_mb * 2**20,
             optimise_after_loops=self.optimise_after_loops,
             webhook_private_networks=self.webhook_private_networks,
@@ -224,7 +205,7 @@ class Settings(AccessSettings):
     def capacity(self) -> CapacityLimits:
         """The rate limits, and how many streams a client may have."""
         return CapacityLimits(
-            tenant_points_per_s=self.tenant_points_per_s,
+            tenant_points_per_s=TENANT_TO_CLIENT * self.client_points_per_s,
             client_points_per_s=self.client_points_per_s,
             client_streams=self.streams_per_client,
         )

@@ -64,5 +64,6 @@ def misspellings(variables: Iterable[str]) -> list[tuple[str, str]]:
 
 def _named(finding: Any) -> str:
     """A finding by its variable; a rule about several of them names them itself."""
-    where = f"{PREFIX}{str(finding['loc'][0]).upper()}: " if finding["loc"] else ""
+    first, *members = map(str, finding["loc"] or [""])
+    where = f"{PREFIX}{'.'.join([first.upper(), *members])}: " if first else ""
     return where + str(finding["msg"]).removeprefix("Value error, ")

@@ -24,8 +24,7 @@ NOT_VERIFIED = "NOT_VERIFIED"
 """Other submaps were more similar when the later one came: geometry was never asked."""
 
 KNOWN_ALREADY = "KNOWN_ALREADY"
-"""Accepted loops of the later one told already where the other lies: geometry was never asked. The service's setting
-REVISIT_LOOPS_ENOUGH says how many of them it takes."""
+"""Accepted loops of the later one told already where the other lies: geometry was never asked."""
 
 
 class Lookups(Protocol):

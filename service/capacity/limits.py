@@ -1,8 +1,8 @@
 """Every bound of what the gateway does for its clients at a time, with unit and reason.
 
-Settings change `tenant_points_per_s`, `client_points_per_s` and `client_streams`, and state how many jobs wait and how
-much a tenant stores; everything else is as it is here. Bounds of a single input are those of `domain/limits.py`; times
-and sizes of connections belong to their transport.
+Settings change `client_points_per_s`, with it `tenant_points_per_s`, and `client_streams`, and state how many jobs
+wait and how much a tenant stores; everything else is as it is here. Bounds of a single input are those of
+`domain/limits.py`; times and sizes of connections belong to their transport.
 """
 
 from __future__ import annotations

@@ -17,7 +17,7 @@ BOUNDS = {
 
 @dataclass(frozen=True)
 class LoopPolicy:
-    """A map's own rules for loop closures. None stands for the value of the service (REVISIT_LOOP_CANDIDATES, ...).
+    """A map's own rules for loop closures. None stands for the default of the method.
 
     `candidates`: the submaps most alike that are verified for each new one. The others decide whether a verified
     candidate is accepted: `min_score` and `min_overlap` are the least values, `max_seen_through` the largest, each 0 to

@@ -16,7 +16,7 @@ from revisit.service.use_cases import UseCases
 from tests.support.patience import PATIENCE_S, eventually, in_time
 from tests.support.processes import ServiceProcess
 from tests.support.service_world import open_session, sqlite_world, submap
-from tests.support.town import SESSION, Town, running_town
+from tests.support.town import NEVER_TOO_NEAR, SESSION, Town, running_town
 
 SIZE_MB, RESERVE_MB = 64, 8
 MOUNTED = ("unshare", "-rm", "sh", "-c", f'mount -t tmpfs -o size={SIZE_MB}m tmpfs "$REVISIT_HOME" && exec "$@"', "sh")
@@ -60,7 +60,7 @@ def post(town: Town, number: int) -> int:
 @needs_mount
 def test_a_full_disk_refuses_data_serves_the_rest_and_heals_by_itself(tmp_path):
     (tmp_path / "home").mkdir()
-    with running_town(tmp_path / "home", OnSmallDisk, reserve_mb=RESERVE_MB, leave_distance_m=0) as town:
+    with running_town(tmp_path / "home", OnSmallDisk, reserve_mb=RESERVE_MB, of_map=NEVER_TOO_NEAR) as town:
         disk = Path(f"/proc/{town.service.pid}/root") / (tmp_path / "home").relative_to("/")
         eventually((disk / "reserve").exists)
         assert [post(town, number) for number in range(5)] == [202] * 5

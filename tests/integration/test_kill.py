@@ -12,13 +12,14 @@ import pytest
 from tests.support.fake_recogniser import KILLS_THE_WORKER
 from tests.support.patience import PATIENCE_S, eventually, in_time
 from tests.support.processes import ROOT, ServiceProcess, is_running
-from tests.support.town import SESSION, running_town
+from tests.support.town import NEVER_TOO_NEAR, SESSION, running_town
 
 
 @pytest.fixture(scope="module")
 def town(tmp_path_factory):
     """Each test leaves the service running."""
-    with running_town(tmp_path_factory.mktemp("town") / "home", fake_delay_s="0.02", leave_distance_m=0) as running:
+    home = tmp_path_factory.mktemp("town") / "home"
+    with running_town(home, fake_delay_s="0.02", of_map=NEVER_TOO_NEAR) as running:
         yield running
 
 

@@ -209,7 +209,7 @@ def test_a_person_brings_a_map_to_the_installed_model_by_typing(tmp_path, monkey
         world.context.transactions.close()
 
     asyncio.run(prepare())
-    monkeypatch.setenv("REVISIT_RECOGNISER", f"{__name__}:newer")
+    monkeypatch.setenv("REVISIT_FOR_TESTS", json.dumps({"recogniser": f"{__name__}:newer"}))
     told = CliRunner().invoke(app, ["reembed", "--home", str(tmp_path), "--json"])
     assert told.exit_code == 0, told.output
     (done,) = json.loads(told.stdout)

@@ -43,7 +43,7 @@ def service(tmp_path):
         asyncio.run(open_session(world, tenant=tenant))
     world.context.transactions.close()
     points_per_s = QUOTA_PER_S * (POINTS + CALL_POINTS)
-    running = ServiceProcess(tmp_path / "home", workers=1, tenant_points_per_s=points_per_s)
+    running = ServiceProcess(tmp_path / "home", workers=1, client_points_per_s=points_per_s)
     yield running, keys
     running.close()
 

@@ -38,10 +38,10 @@ REFUSED_MS = 50.0
 time or in half of what the service takes for an acceptance."""
 CLOUD = encode_quantised(cloud_points(1, POINTS))
 BOUNDS = {
-    "points": {"tenant_points_per_s": TAKEN_PER_S * (POINTS + CALL_POINTS)},
+    "points": {"client_points_per_s": TAKEN_PER_S * (POINTS + CALL_POINTS)},
     "queue": {"fake_busy_s": 1.0 / TAKEN_PER_S},
 }
-"""What keeps the service from taking more: the points of a tenant, or a queue that one worker, ever busy, empties."""
+"""What keeps the service from taking more: the points of a client, or a queue that one worker, ever busy, empties."""
 
 
 @pytest.fixture(params=BOUNDS)

@@ -14,6 +14,7 @@ import time
 from pathlib import Path
 from typing import Any
 
+from revisit.service.settings import ForTests
 from tests.support.patience import PATIENCE_S
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -35,9 +36,9 @@ class _Logging:
             "REVISIT_GRPC_PORT": "0",
             "REVISIT_WORKERS": "1",
             "REVISIT_RESERVE_MB": "0",
-            "REVISIT_RECOGNISER": "tests.support.fake_recogniser:load",
-            **{f"REVISIT_{name.upper()}": str(value) for name, value in settings.items()},
         }
+        self._for_tests: dict[str, Any] = {}
+        self.set(**{"recogniser": "tests.support.fake_recogniser:load", **settings})
         self.events: list[dict[str, Any]] = []
         self.other_lines: list[str] = []
         self.start()
@@ -56,11 +57,14 @@ class _Logging:
         self._reader.start()
 
     def set(self, **settings: Any) -> None:
-        """Settings of the next start; None for the default."""
+        """Settings of the next start, those of REVISIT_FOR_TESTS by their own names; None for the default."""
         for name, value in settings.items():
-            self._environment.pop(f"REVISIT_{name.upper()}", None)
+            variables = self._for_tests if name in ForTests.model_fields else self._environment
+            key = name if variables is self._for_tests else f"REVISIT_{name.upper()}"
+            variables.pop(key, None)
             if value is not None:
-                self._environment[f"REVISIT_{name.upper()}"] = str(value)
+                variables[key] = str(value)
+        self._environment["REVISIT_FOR_TESTS"] = json.dumps(self._for_tests)
 
     def wait_for(self, event: str, after: int = 0, timeout_s: float = PATIENCE_S) -> dict[str, Any]:
         """The first log entry of this kind after the first `after` entries."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import socket
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -16,6 +16,9 @@ from tests.support.processes import ServiceProcess
 from tests.support.service_world import cloud_points
 
 SESSION = "maps/town/sessions/monday"
+EMPTY: Mapping[str, Any] = {}
+NEVER_TOO_NEAR = {"leave_distance_m": 0}
+"""Of a map: a drive need not leave a place."""
 
 
 def half_a_post(service: ServiceProcess) -> socket.socket:
@@ -31,11 +34,11 @@ def half_a_post(service: ServiceProcess) -> socket.socket:
 class Town:
     """The map `town` with the session `monday`, over REST; each call is made once, on a connection that is kept."""
 
-    def __init__(self, service: ServiceProcess) -> None:
-        """Makes the map and the session."""
+    def __init__(self, service: ServiceProcess, **of_map: Any) -> None:
+        """Makes the map, with its own rules, and the session."""
         self.service = service
         self._client = httpx.Client(base_url=service.url, timeout=PATIENCE_S, trust_env=False)
-        assert self.http.post("/v1/maps", json={"map_id": "town"}).status_code == 201
+        assert self.http.post("/v1/maps", json={"map_id": "town", **of_map}).status_code == 201
         assert self.http.post("/v1/maps/town/sessions", json={"session_id": "monday"}).status_code == 201
 
     @property
@@ -88,10 +91,12 @@ class Town:
 
 
 @contextmanager
-def running_town(home: Path, kind: type[ServiceProcess] = ServiceProcess, **settings: Any) -> Iterator[Town]:
-    """A service of its own until the block ends."""
+def running_town(
+    home: Path, kind: type[ServiceProcess] = ServiceProcess, *, of_map: Mapping[str, Any] = EMPTY, **settings: Any
+) -> Iterator[Town]:
+    """A service of its own until the block ends; `of_map`: the map's own rules."""
     service = kind(home, **settings)
     try:
-        yield Town(service)
+        yield Town(service, **of_map)
     finally:
         service.close()

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import asyncio
 import itertools
+import json
 import logging
 
 import pytest
 import structlog
 
 from revisit.service.__main__ import main
+from revisit.service.access_rules import access_rules
 from revisit.service.composition import offline_use_cases
 from revisit.service.features.keys.calls import CreateKey
 from revisit.service.settings import Settings
@@ -76,9 +78,7 @@ def test_a_revoked_key_counts_as_none(served, monkeypatch, capsys):
         ({"TLS_KEY": "a"}, "belong together"),
         ({"CLIENT_CA": "a"}, "needs REVISIT_TLS_CERTIFICATE"),
         ({"TLS_CERTIFICATE": "a", "TLS_KEY": "b", "CLIENT_CERTIFICATES": "c"}, "needs REVISIT_CLIENT_CA"),
-        ({"JWT_ISSUER": "https://id.example"}, "belong together"),
-        ({"JWT_ISSUER": "https://id.example", "JWT_AUDIENCE": "r", "JWT_KEYS": "http://id.example/k"}, "https URL"),
-        ({"JWT_ISSUER": "https://id.example", "JWT_AUDIENCE": "r", "JWT_KEYS": "https://x.example/k"}, "https URL"),
+        ({"JWT": "/nowhere/issuer.json"}, "REVISIT_JWT: /nowhere/issuer.json cannot be read"),
         ({"AUTHENTICATION": "off"}, "REVISIT_AUTHENTICATION"),
     ],
 )
@@ -88,3 +88,36 @@ def test_settings_that_do_not_fit_together_stop_the_start(served, monkeypatch, c
     assert main(["serve"]) == 78
     assert message in capsys.readouterr().err
     assert not served
+
+
+ISSUER = {"issuer": "https://id.example", "audience": "revisit", "keys": "https://id.example/jwks.json"}
+
+
+@pytest.mark.parametrize(
+    ("changed", "message"),
+    [
+        ({"keys": "http://id.example/k"}, "https URL"),
+        ({"keys": "https://x.example/k"}, "https URL"),
+        ({"audience": ""}, "REVISIT_JWT.audience"),
+        ({"max_lifetime_s": 0}, "REVISIT_JWT.max_lifetime_s"),
+        ({"lifetime_s": 60}, "REVISIT_JWT.lifetime_s"),
+    ],
+)
+def test_an_issuer_of_tokens_that_cannot_be_trusted_stops_the_start(
+    served, monkeypatch, capsys, tmp_path, changed, message
+):
+    (tmp_path / "issuer.json").write_text(json.dumps({**ISSUER, **changed}))
+    monkeypatch.setenv("REVISIT_JWT", str(tmp_path / "issuer.json"))
+    assert main(["serve"]) == 78
+    assert message in capsys.readouterr().err
+    assert not served
+
+
+def test_an_issuer_of_tokens_stands_in_for_keys(served, monkeypatch, tmp_path):
+    (tmp_path / "issuer.json").write_text(json.dumps(ISSUER))
+    monkeypatch.setenv("REVISIT_JWT", str(tmp_path / "issuer.json"))
+    monkeypatch.setenv("REVISIT_HOST", "0.0.0.0")
+    monkeypatch.setenv("REVISIT_TLS_CERTIFICATE", "chain.pem")
+    monkeypatch.setenv("REVISIT_TLS_KEY", "key.pem")
+    assert main(["serve"]) == 0
+    assert access_rules(served[0]).tokens is not None

@@ -88,11 +88,11 @@ def test_what_does_not_exist_cannot_be_armed(specification, message):
 
 
 def test_the_service_does_not_start_with_a_failpoint_that_does_not_exist(tmp_path):
-    environment = {"REVISIT_FAIL": "nowhere=kill", "REVISIT_HOME": str(tmp_path / "home"), "PATH": ""}
+    environment = {"REVISIT_FOR_TESTS": '{"fail": "nowhere=kill"}', "REVISIT_HOME": str(tmp_path / "home"), "PATH": ""}
     command = [sys.executable, "-m", "revisit.service", "serve"]
     ended = subprocess.run(
         command, cwd=ROOT, env=environment, capture_output=True, text=True, timeout=PATIENCE_S, check=False
     )
     assert ended.returncode == 78
-    assert "REVISIT_FAIL: there is no failpoint 'nowhere'" in ended.stderr
+    assert "REVISIT_FOR_TESTS: there is no failpoint 'nowhere'" in ended.stderr
     assert not (tmp_path / "home").exists()

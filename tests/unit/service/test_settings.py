@@ -7,9 +7,11 @@ from dataclasses import replace
 import pytest
 from pydantic import ValidationError
 
+from revisit.service.capacity.limits import CapacityLimits
 from revisit.service.domain.identity import content_hash, validated_id
 from revisit.service.domain.policy import Policy
-from revisit.service.settings import FOR_TESTS, GONE, GROUPS, Settings
+from revisit.service.settings import GONE, GROUPS, Settings
+from revisit.service.settings_loading import UnusableSettings, load_settings
 from tests.support.records import a_map
 
 
@@ -30,7 +32,7 @@ def test_the_defaults_listen_on_loopback_only():
 
 def test_every_setting_is_in_one_group_or_for_tests_and_none_of_them_is_gone():
     shown = [name for names in GROUPS.values() for name in names]
-    assert sorted([*shown, *FOR_TESTS]) == sorted(Settings.model_fields)
+    assert sorted([*shown, "for_tests"]) == sorted(Settings.model_fields)
     assert len(GROUPS) == 4 and GONE.keys().isdisjoint(Settings.model_fields)
 
 
@@ -47,36 +49,40 @@ def test_the_environment_sets_the_window_and_the_queue(monkeypatch, tmp_path):
     monkeypatch.setenv("REVISIT_HOME", str(tmp_path))
     monkeypatch.setenv("REVISIT_TAU_M", "20")
     monkeypatch.setenv("REVISIT_STRIDE_M", "4")
-    monkeypatch.setenv("REVISIT_LEAVE_DISTANCE_M", "7")
-    monkeypatch.setenv("REVISIT_LEASE_S", "2.5")
+    monkeypatch.setenv("REVISIT_FOR_TESTS", '{"lease_s": 2.5}')
     settings = Settings()
     pipeline = settings.policy.pipeline
-    assert (pipeline.submap.tau, pipeline.submap.stride, pipeline.loop.leave_distance) == (20.0, 4.0, 7)
+    assert (pipeline.submap.tau, pipeline.submap.stride, pipeline.loop.leave_distance) == (20.0, 4.0, 10.0)
     assert (settings.policy.lease_ms, settings.database) == (2500, tmp_path / "revisit.db")
 
 
-def test_the_environment_sets_the_rules_for_loop_closures(monkeypatch):
-    for name, value in {"LOOP_CANDIDATES": "5", "MIN_SCORE": "0.7", "MIN_OVERLAP": "0.4"}.items():
-        monkeypatch.setenv(f"REVISIT_{name}", value)
-    monkeypatch.setenv("REVISIT_MAX_SEEN_THROUGH", "0.2")
-    pipeline = Settings().policy.pipeline
-    rules = pipeline.verification
-    assert pipeline.loop.candidates == 5
-    assert (rules.min_score, rules.min_overlap, rules.max_seen_through) == (0.7, 0.4, 0.2)
+def test_a_map_has_its_own_rules_for_loop_closures():
     of_map = replace(a_map(), loop_candidates=3, min_score=0.9, min_overlap=0.0, max_seen_through=1.0)
     own = Settings().policy.for_map(of_map)
     assert (own.loop.candidates, own.verification.min_score) == (3, 0.9)
     assert (own.verification.min_overlap, own.verification.max_seen_through) == (0.0, 1.0)
 
 
-LOOP_RULES = ["LOOP_CANDIDATES", "MIN_SCORE", "MIN_OVERLAP", "MAX_SEEN_THROUGH"]
-
-
-@pytest.mark.parametrize("name", ["HTTP_PORT", "WORKERS", "TAU_M", "LEASE_S", "MAX_ATTEMPTS", *LOOP_RULES])
+@pytest.mark.parametrize("name", ["HTTP_PORT", "WORKERS", "TAU_M"])
 def test_a_value_out_of_bounds_is_refused(monkeypatch, name):
     monkeypatch.setenv(f"REVISIT_{name}", "-1")
     with pytest.raises(ValidationError, match=name.lower()):
         Settings()
+
+
+@pytest.mark.parametrize("value", ['{"lease_s": -1}', '{"max_attempts": 0}', '{"leases_s": 1}', "{", "1"])
+def test_what_is_for_tests_alone_is_validated_too(monkeypatch, value):
+    monkeypatch.setenv("REVISIT_FOR_TESTS", value)
+    with pytest.raises(UnusableSettings, match="REVISIT_FOR_TESTS"):
+        load_settings()
+
+
+def test_a_tenant_has_twice_the_rate_of_its_clients(monkeypatch):
+    monkeypatch.setenv("REVISIT_CLIENT_POINTS_PER_S", "3e6")
+    capacity = Settings().capacity
+    assert (capacity.client_points_per_s, capacity.tenant_points_per_s) == (3e6, 6e6)
+    monkeypatch.delenv("REVISIT_CLIENT_POINTS_PER_S")
+    assert Settings().capacity == CapacityLimits()
 
 
 def test_a_map_overrides_only_what_it_names():
