@@ -34,6 +34,12 @@ class SequenceGap(RevisitError):
         self.expected = expected
 
 
+class StreamFenced(RevisitError):
+    """A newer stream of the same session took over."""
+
+    code = ErrorCode.STREAM_FENCED
+
+
 class NotReady(RevisitError):
     """The submap is not described yet: wait for its operation."""
 

@@ -90,7 +90,10 @@ class SessionDetails:
 
 @dataclass(frozen=True)
 class SessionRecord:
-    """A session, its details, and where its current window of scans stands (see `ingest.scans`)."""
+    """A session, its details, and where its current window of scans stands (see `ingest.scans`).
+
+    `stream`: the stream that stored the last scan, if one did (see `ingest.calls.ScanStream`).
+    """
 
     tenant: TenantId
     map_id: str
@@ -107,6 +110,7 @@ class SessionRecord:
     created_at_ns: int
     finished_at_ns: int | None
     storey: str | None = None
+    stream: str | None = None
     number: int = 0
 
 

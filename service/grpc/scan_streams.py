@@ -5,14 +5,15 @@ from __future__ import annotations
 import asyncio
 from collections.abc import AsyncIterator
 from contextlib import suppress
+from dataclasses import replace
 from typing import Any
 
 from revisit.core.errors import ErrorCode, RevisitError
 from revisit.service.calls.loops import loop_fields
 from revisit.service.domain.callers import current_tenant
-from revisit.service.domain.errors import Draining, NotFound
+from revisit.service.domain.errors import Draining, NotFound, StreamFenced
 from revisit.service.domain.identity import SessionKey, TenantId
-from revisit.service.features.ingest.calls import OpenedStream, ResumePoint, ScanAck
+from revisit.service.features.ingest.calls import OpenedStream, ResumePoint, ScanAck, ScanStream
 from revisit.service.status import STATUS, retry_after_s
 from revisit.service.use_cases import UseCases
 from revisit.service.wire import names
@@ -35,12 +36,6 @@ class StreamNotOpen(RevisitError):
     """The first message of a stream must be Open, and only the first."""
 
     code = ErrorCode.STREAM_NOT_OPEN
-
-
-class StreamFenced(RevisitError):
-    """A newer stream of the same session took over."""
-
-    code = ErrorCode.STREAM_FENCED
 
 
 class ClientReadsNothing(RevisitError):
@@ -102,6 +97,7 @@ class _ScanStream:
         self._use_cases = use_cases
         self._deleted = deleted
         self._fenced = asyncio.Event()
+        self._scans = ScanStream.new()
         self._handler: asyncio.Task[Any] = asyncio.current_task()  # type: ignore[assignment]  # made by its call
         self._answers: asyncio.Queue[pb.StreamScansResponse | None] = asyncio.Queue(maxsize=2 * CREDITS)
 
@@ -154,7 +150,11 @@ class _ScanStream:
                 await self._refuse(request.scan.seq, error)
 
     async def _append(self, scan: pb.Scan) -> ScanAck:
-        return await self._use_cases.scans.append(self.tenant, append_scan(self.session, scan), patient=True)
+        command = replace(append_scan(self.session, scan), stream=self._scans)
+        ack = await self._use_cases.scans.append(self.tenant, command, patient=True)
+        if not ack.replay:
+            self._scans = self._scans.begun()
+        return ack
 
     async def _acknowledge(self, ack: ScanAck) -> None:
         submap_seq = 0 if ack.submap is None else ack.submap.submap.seq
@@ -168,7 +168,7 @@ class _ScanStream:
 
     async def _refuse(self, seq: int, error: RevisitError) -> None:
         """Answer a scan that was not stored; the stream lives. Raises where the session itself cannot go on."""
-        if error.code in (ErrorCode.NOT_FOUND, ErrorCode.SESSION_FINISHED):
+        if error.code in (ErrorCode.NOT_FOUND, ErrorCode.SESSION_FINISHED, ErrorCode.STREAM_FENCED):
             raise error
         status = STATUS[error.code]
         opened = await self._use_cases.scans.open(self.tenant, self.session)

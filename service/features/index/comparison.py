@@ -16,6 +16,7 @@ from revisit.service.ports.recogniser import PlaceRecogniser
 
 log = structlog.get_logger(__name__)
 
+
 class Comparison:
     """Verifies pairs; a damaged place is a verdict, not an error."""
 

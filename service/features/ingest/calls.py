@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import asyncio
 import hashlib
+import secrets
 from collections.abc import Callable
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
@@ -23,7 +24,7 @@ from revisit.core.scan import CloudReport, Scan
 from revisit.core.submap import next_window_start
 from revisit.service.capacity.in_flight import InFlight
 from revisit.service.domain import limits
-from revisit.service.domain.errors import AlreadyExists, NotFound, SequenceGap
+from revisit.service.domain.errors import AlreadyExists, NotFound, SequenceGap, StreamFenced
 from revisit.service.domain.identity import SessionKey, TenantId
 from revisit.service.domain.records import ScanRecord, SessionRecord
 from revisit.service.failpoints import failpoint
@@ -55,14 +56,41 @@ FirstSeqFrom = Callable[[float], int | None]
 
 
 @dataclass(frozen=True)
+class ScanStream:
+    """A stream of a session's scans. The newest one stores them, whichever gateway each stream leads to.
+
+    A stream takes over with the first scan that it stores; from then on it may store none after a newer one has.
+    """
+
+    token: str
+    took_over: bool = False
+
+    @classmethod
+    def new(cls) -> ScanStream:
+        """A stream that has stored nothing yet."""
+        return cls(secrets.token_hex(16))
+
+    def begun(self) -> ScanStream:
+        """The stream once it has stored a scan."""
+        return replace(self, took_over=True)
+
+    def entered(self, session: SessionRecord) -> SessionRecord:
+        """The session as this stream stores a scan in it. Raises StreamFenced where a newer one took over."""
+        if self.took_over and session.stream != self.token:
+            raise StreamFenced
+        return replace(session, stream=self.token)
+
+
+@dataclass(frozen=True)
 class AppendScan:
-    """The scan with client sequence number `seq` (1, 2, 3, ...), taken from `T_odom_sensor` (4, 4)."""
+    """The scan with client sequence number `seq` (1, 2, 3, ...), taken from `T_odom_sensor` (4, 4), of `stream`."""
 
     session: SessionKey
     seq: int
     stamp_ns: int
     T_odom_sensor: Matrix4
     cloud: CloudInput
+    stream: ScanStream | None = None
 
 
 @dataclass(frozen=True)
@@ -148,7 +176,7 @@ class Scans:
 
         Raises the errors of decoding and validation, NotFound, SessionFinished, SequenceGap(expected), AlreadyExists
         for other content under the number of a stored scan, WorkersBusy, RateLimited, QuotaReached, Draining,
-        StorageFull, StorageUncertain.
+        StorageFull, StorageUncertain; StreamFenced where a newer stream of the session took over.
         """
         self._context.admission.require_storage()
         session = await self._context.storage.read(partial(require_session, tenant=tenant, key=command.session))
@@ -163,7 +191,7 @@ class Scans:
             decoded(len(accepted.scan.points))
             if replay:
                 return await self._replayed(session, accepted)
-            return await self._store(tenant, command.session, accepted)
+            return await self._store(tenant, command, accepted)
 
     async def _replayed(self, session: SessionRecord, accepted: _Accepted) -> ScanAck:
         """The answer to a scan with a number that is taken. Raises AlreadyExists unless it is the stored one again."""
@@ -183,22 +211,24 @@ class Scans:
         )
         return await self._decoder.run(stored.tenant, _same_points, packed, accepted.packed)
 
-    async def _store(self, tenant: TenantId, key: SessionKey, accepted: _Accepted) -> ScanAck:
+    async def _store(self, tenant: TenantId, command: AppendScan, accepted: _Accepted) -> ScanAck:
         await self._context.storage.put_blob(tenant, CLOUD_BLOB, accepted.packed)
         failpoint("ingest.after_blob")
-        ack = await self._context.storage.write(partial(self._insert, tenant=tenant, key=key, accepted=accepted))
+        insert = partial(self._insert, tenant=tenant, command=command, accepted=accepted)
+        ack = await self._context.storage.write(insert)
         self._context.admission.note_stored(tenant, len(accepted.scan.points))
         failpoint("ingest.after_commit")
         return ack
 
-    def _insert(self, uow: UnitOfWork, tenant: TenantId, key: SessionKey, accepted: _Accepted) -> ScanAck:
-        session = require_session(uow, tenant, key)
+    def _insert(self, uow: UnitOfWork, tenant: TenantId, command: AppendScan, accepted: _Accepted) -> ScanAck:
+        session = require_session(uow, tenant, command.session)
         if _is_replay(session, accepted.seq):
             stored = _stored_scan(uow, session, accepted.seq)
             # It came a moment ago, by the same compressor.
             if stored is not None and not (_same_place(stored, accepted) and stored.cloud_sha256 == accepted.sha256):
                 raise _taken(session, accepted.seq)
             return ScanAck(session.committed_seq, replay=True, report=None, submap=None)
+        session = session if command.stream is None else command.stream.entered(session)
         last = uow.scans.get(session.tenant, session.map_id, session.session_id, session.committed_seq)
         step_m = _step_m(last, accepted.scan)
         self._context.storage.keep_blob(tenant, CLOUD_BLOB, accepted.packed, accepted.sha256)

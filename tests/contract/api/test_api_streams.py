@@ -14,6 +14,7 @@ from revisit.formats import NPY, QUANTISED, encode_npy, encode_quantised
 from revisit.sdk.errors import AlreadyExists
 from revisit.sdk.retry import RetryPolicy
 from revisit.v1 import cloud_pb2, geometry_pb2, ingest_pb2, ingest_pb2_grpc
+from tests.support.live_service import live_service
 from tests.support.patience import PATIENCE_S
 from tests.support.service_world import cloud_points, pose
 
@@ -352,3 +353,14 @@ def test_a_service_nobody_answers_for_is_reported_as_unreachable():
     with Client("http://127.0.0.1:1", retry=RetryPolicy(attempts=1)) as client, pytest.raises(ApiError):
         client.list_maps()
     assert not [thread for thread in threading.enumerate() if thread.name.startswith("scans maps/m/")]
+
+
+def test_the_newest_stream_holds_over_two_gateways_of_one_store(service, raw, session):
+    with live_service(service.world) as second, grpc.insecure_channel(second.grpc) as channel:
+        older = opened(raw, session)
+        assert older.say(scan=scan_message(1)).hear().ack.committed_seq == 1
+        newer = opened(ingest_pb2_grpc.IngestServiceStub(channel), session)
+        # Both are open: the older one is only told where it stores.
+        assert newer.say(scan=scan_message(2)).hear().ack.committed_seq == 2
+        assert code_of(older.say(scan=scan_message(3)).hear) is grpc.StatusCode.FAILED_PRECONDITION
+        assert newer.say(scan=scan_message(3)).hear().ack.committed_seq == 3
