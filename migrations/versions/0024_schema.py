@@ -16,20 +16,46 @@ depends_on = None
 
 schema = sa.MetaData()
 
+NUMBER = sa.BigInteger().with_variant(sa.Integer(), "sqlite")
+"""Of rows: SQLite's INTEGER has 64 bits, and counts by itself where it is the primary key."""
+
 
 def upgrade() -> None:
     """Create every table with its indexes; nobody may change or delete a row of the audit log."""
     schema.create_all(op.get_bind(), checkfirst=False)
-    for change in ("UPDATE", "DELETE"):
-        op.execute(
-            f"CREATE TRIGGER audit_log_refuses_{change.lower()} BEFORE {change} ON audit_log "
-            "BEGIN SELECT RAISE(ABORT, 'the audit log is append-only'); END"
-        )
+    for statement in ON_POSTGRESQL if _on_postgresql() else ON_SQLITE:
+        op.execute(statement)
 
 
 def downgrade() -> None:
     """Drop every table, children first; indexes and triggers go with theirs."""
     schema.drop_all(op.get_bind(), checkfirst=False)
+    if _on_postgresql():
+        op.execute("DROP TABLE audit_height")
+        op.execute("DROP FUNCTION audit_log_refuses, audit_log_grows")
+
+
+ON_SQLITE = [
+    f"CREATE TRIGGER audit_log_refuses_{change.lower()} BEFORE {change} ON audit_log "
+    "BEGIN SELECT RAISE(ABORT, 'the audit log is append-only'); END"
+    for change in ("UPDATE", "DELETE")
+]
+ON_POSTGRESQL = [
+    "CREATE FUNCTION audit_log_refuses() RETURNS trigger LANGUAGE plpgsql AS "
+    "$$ BEGIN RAISE EXCEPTION 'the audit log is append-only'; END $$",
+    "CREATE TRIGGER audit_log_refuses_change BEFORE UPDATE OR DELETE OR TRUNCATE ON audit_log "
+    "FOR EACH STATEMENT EXECUTE FUNCTION audit_log_refuses()",
+    # SQLite keeps the highest number of a table by itself; a sequence counts what was rolled back, too.
+    "CREATE TABLE audit_height (number BIGINT NOT NULL)",
+    "INSERT INTO audit_height VALUES (0)",
+    "CREATE FUNCTION audit_log_grows() RETURNS trigger LANGUAGE plpgsql AS "
+    "$$ BEGIN UPDATE audit_height SET number = greatest(number, NEW.number); RETURN NEW; END $$",
+    "CREATE TRIGGER audit_log_grows AFTER INSERT ON audit_log FOR EACH ROW EXECUTE FUNCTION audit_log_grows()",
+]
+
+
+def _on_postgresql() -> bool:
+    return op.get_bind().dialect.name == "postgresql"
 
 
 def _table(name: str, *parts: sa.Column | sa.Constraint) -> None:
@@ -41,12 +67,12 @@ def _table(name: str, *parts: sa.Column | sa.Constraint) -> None:
 
 def _numbered(name: str, *parts: sa.Column | sa.Constraint) -> None:
     """A table whose rows have a number that is never given out twice."""
-    _table(name, sa.Column("number", sa.Integer, primary_key=True, autoincrement=True), *parts)
+    _table(name, sa.Column("number", NUMBER, primary_key=True, autoincrement=True), *parts)
 
 
 def _index(name: str, table: str, *columns: str, where: str | None = None) -> None:
     rows = None if where is None else sa.text(where)
-    sa.Index(name, *(schema.tables[table].c[column] for column in columns), sqlite_where=rows)
+    sa.Index(name, *(schema.tables[table].c[column] for column in columns), sqlite_where=rows, postgresql_where=rows)
 
 
 def _refers(name: str, table: str, own: tuple[str, ...], others: tuple[str, ...] = ()) -> sa.ForeignKeyConstraint:
@@ -66,7 +92,7 @@ def _big(name: str, *, null: bool = False, default: str | None = None) -> sa.Col
 
 
 def _int(name: str) -> sa.Column:
-    return _column(name, sa.Integer(), False, None)
+    return _column(name, NUMBER, False, None)
 
 
 def _real(name: str, *, null: bool = False, default: str | None = None) -> sa.Column:
@@ -183,7 +209,7 @@ _index("ix_jobs_state_tenant_priority", "jobs", "state", "tenant", "priority")
 _index("ix_jobs_tenant_state", "jobs", "tenant", "state")
 _table(
     "index_changes",
-    sa.Column("seq", sa.Integer, primary_key=True), _text("tenant"), _int("map_number"), _int("submap_number"),
+    sa.Column("seq", NUMBER, primary_key=True), _text("tenant"), _int("map_number"), _int("submap_number"),
     _text("kind", 16),
 )
 _index("ix_index_changes_tenant_map_number_seq", "index_changes", "tenant", "map_number", "seq")

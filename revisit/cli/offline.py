@@ -25,7 +25,8 @@ def data_folder(home: Path | None) -> Path:
 def use_cases_on(home: Path | None) -> Iterator[UseCases]:
     """The use cases on the database, which is made where it is missing. Raises typer.Exit where it does not fit."""
     from revisit.service.composition import offline_use_cases
-    from revisit.service.engines.local.sqlite.migration import ForeignSchema, migrate
+    from revisit.service.engines.local.sqlite.migration import migrate
+    from revisit.service.engines.schema import ForeignSchema
     from revisit.service.settings_loading import load_settings
 
     # Files are for this user only.

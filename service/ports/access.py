@@ -71,7 +71,7 @@ class AuditTrail(Protocol):
         ...
 
     def last(self) -> AuditRecord | None:
-        """The row with the highest number."""
+        """The row with the highest number; until this transaction ends nobody else appends one."""
         ...
 
     def since(self, number: int, limit: int) -> list[AuditRecord]:

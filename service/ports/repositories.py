@@ -15,8 +15,11 @@ R = TypeVar("R")
 class RowReader(Protocol[R]):
     """Reads records of one kind. The tenant is part of every query."""
 
-    def get(self, tenant: TenantId, *key: str | int) -> R | None:
-        """The record with this key, or None."""
+    def get(self, tenant: TenantId, *key: str | int, hold: bool = False) -> R | None:
+        """The record with this key, or None. `hold`: until this transaction ends nobody else changes or holds it.
+
+        A use case that changes a record, or what hangs on it, holds it first: in the order map, session, submap, job.
+        """
         ...
 
     def find(

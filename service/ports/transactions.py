@@ -163,13 +163,18 @@ class UnitOfWork(Protocol):
 
 
 class Transactions(Protocol):
-    """Runs units of work: writes one after another, reads beside them on a consistent snapshot."""
+    """Runs units of work: those of a process write one after another, reads beside them on a consistent snapshot.
 
-    def write(self, work: Callable[[UnitOfWork], T], *, alone: bool = False) -> Future[T]:
+    Where several processes write at the same time, what `work` reads may change before it commits, but for the records
+    that it holds (`RowReader.get`).
+    """
+
+    def write(self, work: Callable[[UnitOfWork], T], *, alone: bool = False, durable: bool = True) -> Future[T]:
         """Run `work` and commit durably before the future is done; an exception rolls back and is passed on.
 
         Writes that wait at the same time share a transaction and see each other's changes. One with effects beyond a
-        rollback runs `alone`, and so sees committed rows only. Raises through the future: StorageFull,
+        rollback runs `alone`, and so sees committed rows only. One that is not `durable` need not survive a power cut.
+        Where another process is in the way, `work` is undone and runs again. Raises through the future: StorageFull,
         StorageUncertain, DataLoss, and the errors of `work`.
         """
         ...

@@ -17,8 +17,14 @@ PERMISSIVE = {
     "MIT LICENSE", "PYTHON SOFTWARE FOUNDATION LICENSE",
 }  # fmt: skip
 
+LGPL = "LGPL-3.0-ONLY"
 EXCEPTIONS = {
     "certifi": ("MOZILLA PUBLIC LICENSE 2.0 (MPL 2.0)", "a list of certificates, used unchanged; httpx needs it"),
+    "psycopg": (
+        LGPL,
+        "PostgreSQL's driver, used unchanged, in the extra `cluster` alone; whoever has it may exchange it",
+    ),
+    "psycopg-binary": (LGPL, "its compiled part"),
 }
 """Distribution -> its licence, and why it may be used all the same."""
 
@@ -36,8 +42,8 @@ def licences_of(name):
     return classified or {(about.get("License") or "unknown").strip().splitlines()[0].upper()}
 
 
-DISTRIBUTIONS = sorted(distributions("evaluation"))
-"""All that is passed on: the largest extra but the developers' own, which holds the others."""
+DISTRIBUTIONS = sorted(distributions("evaluation") | distributions("cluster"))
+"""All that is passed on: the largest extras but the developers' own, which hold the others."""
 
 
 @pytest.mark.parametrize("name", DISTRIBUTIONS)

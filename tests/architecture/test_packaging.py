@@ -10,7 +10,7 @@ from pathlib import Path
 from setuptools import find_namespace_packages
 
 import revisit
-from revisit.service.engines.local.sqlite.migration import MIGRATIONS
+from revisit.service.engines.schema import MIGRATIONS
 
 ROOT = Path(__file__).resolve().parents[2]
 PYPROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())

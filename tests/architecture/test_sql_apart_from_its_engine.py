@@ -40,7 +40,7 @@ KEY = KeyRecord(TENANT, "k1", "label", ("read",), "0" * 64, 1, None, None, None)
 ROW = AuditRecord(1, 1, TENANT, "actor", "keys.create", "k1", {}, "", "0" * 64)
 CALLS = {
     "SqlRepository.add": fill,
-    "SqlRepository.get": lambda uow: uow.maps.get(TENANT, "town"),
+    "SqlRepository.get": lambda uow: [uow.maps.get(TENANT, "town", hold=hold) for hold in (False, True)],
     "SqlRepository.find": lambda uow: uow.sessions.find(TENANT, after=0, limit=5, map_id="town", robot_id=None),
     "SqlRepository.numbered": lambda uow: uow.submaps.numbered(TENANT, [1, 2]),
     "SqlRepository.distinct": lambda uow: uow.submaps.distinct(TENANT, "cloud_sha256", map_id="town"),

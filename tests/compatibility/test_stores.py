@@ -13,8 +13,9 @@ from pathlib import Path
 import pytest
 
 from revisit.service.domain.identity import SubmapKey
-from revisit.service.engines.local.sqlite import migration
-from revisit.service.engines.local.sqlite.migration import NEWEST_REVISION, ForeignSchema, current_revision, migrate
+from revisit.service.engines import schema
+from revisit.service.engines.local.sqlite.migration import current_revision, migrate
+from revisit.service.engines.schema import NEWEST_REVISION, ForeignSchema
 from revisit.service.features.index.answers import SearchCriteria
 from tests.compatibility.write import ROOT, STORES, write_store
 from tests.faults.drive import POSTED, undisturbed
@@ -106,8 +107,8 @@ def test_a_store_with_a_map_in_the_form_of_the_paper_does_not_become_an_older_on
 def test_a_store_that_a_later_release_has_upgraded_is_refused_until_that_release_takes_it_back(tmp_path, monkeypatch):
     home = unpacked(STORES / "release-0.2.0.zip", tmp_path)
     with monkeypatch.context() as later:
-        later.setattr(migration, "MIGRATIONS", migrations_with_a_next_step(tmp_path))
-        later.setattr(migration, "NEWEST_REVISION", NEXT_REVISION)
+        later.setattr(schema, "MIGRATIONS", migrations_with_a_next_step(tmp_path))
+        later.setattr(schema, "NEWEST_REVISION", NEXT_REVISION)
         migrate(home / "revisit.db")
         upgraded = hashlib.sha256((home / "revisit.db").read_bytes()).hexdigest()
         later.undo()
@@ -115,7 +116,7 @@ def test_a_store_that_a_later_release_has_upgraded_is_refused_until_that_release
             migrate(home / "revisit.db")
     assert hashlib.sha256((home / "revisit.db").read_bytes()).hexdigest() == upgraded
     with monkeypatch.context() as later:
-        later.setattr(migration, "MIGRATIONS", tmp_path / "migrations")
+        later.setattr(schema, "MIGRATIONS", tmp_path / "migrations")
         migrate(home / "revisit.db", NEWEST_REVISION)
     assert current_revision(home / "revisit.db") == NEWEST_REVISION
     assert searched(home) == {"c"}

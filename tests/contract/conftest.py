@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 
 from revisit.service.engines.local.sqlite.transactions import SqliteTransactions
+from revisit.service.engines.postgres.transactions import PostgresTransactions
 from tests.support.made_database import made_database
 from tests.support.memory.transactions import MemoryTransactions
 from tests.support.plain_engine import PlainTransactions
@@ -17,13 +18,18 @@ def clock():
     return SteppedClock("boot", 0)
 
 
-@pytest.fixture(params=["memory", "sqlite", "plain"])
+@pytest.fixture(params=["memory", "sqlite", "plain", "postgres"])
 def transactions(request, tmp_path, clock):
     if request.param == "memory":
         yield MemoryTransactions(10_000, clock)
         return
     if request.param == "plain":
         store = PlainTransactions(10_000, clock)
+        yield store
+        store.close()
+        return
+    if request.param == "postgres":
+        store = PostgresTransactions(request.getfixturevalue("postgres_url"), lease_ms=10_000, clock=clock)
         yield store
         store.close()
         return

@@ -16,6 +16,7 @@ import pytest
 
 from revisit.core.errors import DataLoss
 from revisit.core.index import FaissIndex
+from revisit.service.engines import schema
 from revisit.service.engines.local.sqlite import migration
 from revisit.service.engines.local.sqlite.backup import make_backup, restore_backup
 from revisit.service.engines.local.sqlite.backup_key import own_key
@@ -155,8 +156,8 @@ async def test_a_submap_whose_descriptor_is_damaged_is_refused_by_itself_and_nob
 def test_an_upgrade_gives_every_row_its_checksum(tmp_path, driven, monkeypatch):
     database = tmp_path / DATABASE
     database.write_bytes((driven / DATABASE).read_bytes())
-    monkeypatch.setattr(migration, "MIGRATIONS", migrations_with_a_next_step(tmp_path))
-    monkeypatch.setattr(migration, "NEWEST_REVISION", NEXT_REVISION)
+    monkeypatch.setattr(schema, "MIGRATIONS", migrations_with_a_next_step(tmp_path))
+    monkeypatch.setattr(schema, "NEWEST_REVISION", NEXT_REVISION)
     migration.migrate(database)
     assert migration.current_revision(database) == NEXT_REVISION
     with closing(sqlite3.connect(database)) as connection:

@@ -11,7 +11,7 @@ import pytest
 from sqlalchemy.exc import OperationalError
 
 from revisit.service.domain.errors import AlreadyExists, StorageFull
-from revisit.service.engines.local.sqlite import transactions
+from revisit.service.engines import group_commit
 from revisit.service.engines.local.sqlite.transactions import SqliteTransactions, WriterLock
 from tests.support.made_database import made_database
 from tests.support.patience import PATIENCE_S
@@ -21,7 +21,7 @@ from tests.support.records import TENANT, a_map
 @pytest.fixture
 def store(tmp_path, monkeypatch):
     """A store whose groups are closed by what waits alone, so that a slow machine does not part them."""
-    monkeypatch.setattr(transactions, "MAX_GROUP_S", 60.0)
+    monkeypatch.setattr(group_commit, "MAX_GROUP_S", 60.0)
     made_database(tmp_path / "test.db")
     opened = SqliteTransactions(tmp_path / "test.db", checkpoints=True)
     yield opened

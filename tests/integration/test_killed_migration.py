@@ -10,7 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from revisit.service.engines.local.sqlite.migration import LAST_OF_ALL_STEPS, MIGRATIONS, NEWEST_REVISION, migrate
+from revisit.service.engines.local.sqlite.migration import LAST_OF_ALL_STEPS, migrate
+from revisit.service.engines.schema import MIGRATIONS, NEWEST_REVISION
 from tests.support.campaigns import Campaign
 from tests.support.next_migration import NEXT_REVISION, migrations_with_a_next_step
 from tests.support.processes import ROOT
@@ -23,10 +24,11 @@ import os, shutil, signal, sys
 from pathlib import Path
 from sqlalchemy import event
 from sqlalchemy.engine import Engine
+from revisit.service.engines import schema
 from revisit.service.engines.local.sqlite import migration
 
 old, home, every = Path(sys.argv[1]), Path(sys.argv[2]), int(sys.argv[3])
-migration.MIGRATIONS, migration.NEWEST_REVISION = Path(sys.argv[4]), sys.argv[5]
+schema.MIGRATIONS, schema.NEWEST_REVISION = Path(sys.argv[4]), sys.argv[5]
 
 def in_child(database, kill_at):
     child = os.fork()

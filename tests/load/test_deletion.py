@@ -17,7 +17,8 @@ from pathlib import Path
 import pytest
 
 from revisit.service.domain.errors import NotFound
-from revisit.service.engines.local.sqlite.transactions import GroupCommitter, SqliteTransactions
+from revisit.service.engines.group_commit import GroupCommitter
+from revisit.service.engines.local.sqlite.transactions import SqliteTransactions
 from tests.support.figures import publish
 from tests.support.load import quantile
 from tests.support.patience import in_time

@@ -5,7 +5,7 @@ from __future__ import annotations
 import shutil
 from pathlib import Path
 
-from revisit.service.engines.local.sqlite.migration import MIGRATIONS, NEWEST_REVISION
+from revisit.service.engines.schema import MIGRATIONS, NEWEST_REVISION
 
 NEXT_REVISION = f"{int(NEWEST_REVISION) + 1:04d}"
 

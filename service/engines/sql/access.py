@@ -69,6 +69,7 @@ class SqlAuditTrail:
 
     def last(self) -> AuditRecord | None:
         """See `access_ports.AuditTrail`."""
+        self._engine.number_in_commit_order(self._connection, audit_log)
         row = self._connection.execute(select(audit_log).order_by(audit_log.c.number.desc()).limit(1)).first()
         return None if row is None else AuditRecord(**row._mapping)
 

@@ -6,6 +6,7 @@ The statements that they share are built once, because building one takes as lon
 from __future__ import annotations
 
 import dataclasses
+import json
 from collections import Counter
 from collections.abc import Callable, Collection, Mapping, Sequence
 from functools import cache
@@ -21,9 +22,11 @@ from sqlalchemy import (
     Row,
     Select,
     Table,
+    Text,
     Update,
     and_,
     bindparam,
+    cast,
     delete,
     func,
     insert,
@@ -107,10 +110,11 @@ class SqlRepository(Generic[R]):
         for record in records if self._on_change is not None else ():
             self._on_change(None, record)  # type: ignore[misc]  # the loop is empty without it
 
-    def get(self, tenant: TenantId, *key: str | int) -> R | None:
+    def get(self, tenant: TenantId, *key: str | int, hold: bool = False) -> R | None:
         """See `Repository`."""
         asked = of_tenant(tenant, dict(zip(self._key, key, strict=True)))
-        row = self._connection.execute(self._rows_where(asked), asked).one_or_none()
+        query = _held_row(self._table, self._sees_all, tuple(asked)) if hold else self._rows_where(asked)
+        row = self._connection.execute(query, asked).one_or_none()
         return None if row is None else self._of(row)
 
     def find(self, tenant: TenantId, *, after: int = 0, limit: int | None = None, **equals: Scalar) -> list[R]:
@@ -297,12 +301,11 @@ class SqlSubmaps(SqlRepository[SubmapRecord]):
         """See `SubmapRepository`."""
         submaps = tables.submaps.c
         asked = of_tenant(tenant, {"map_id": map_id, "session_id": session_id})
-        kinds = select(submaps.flags, submaps.failure_code, func.count()).where(self._where(asked))
+        flags_text = cast(submaps.flags, Text)  # JSON has no order in which to group
+        kinds = select(flags_text, submaps.failure_code, func.count()).where(self._where(asked))
         counts: Counter[str] = Counter()
-        for flags, failure, count in self._connection.execute(
-            kinds.group_by(submaps.flags, submaps.failure_code), asked
-        ):
-            counts.update(dict.fromkeys((*flags, *(() if failure is None else (failure,))), count))
+        for flags, failure, count in self._connection.execute(kinds.group_by(flags_text, submaps.failure_code), asked):
+            counts.update(dict.fromkeys((*json.loads(flags), *(() if failure is None else (failure,))), count))
         return dict(counts)
 
 
@@ -392,6 +395,12 @@ def _last_number() -> Select[int]:
 @cache
 def _rows_where(table: Table, sees_all: bool, given: tuple[str, ...], absent: tuple[str, ...]) -> Select[Any]:
     return select(table).where(_has(table, given, absent), seen(table, sees_all))
+
+
+@cache
+def _held_row(table: Table, sees_all: bool, key: tuple[str, ...]) -> Select[Any]:
+    """The row of a key, locked until the transaction ends: rows that refer to it may still be added."""
+    return _rows_where(table, sees_all, key, ()).with_for_update(key_share=True)
 
 
 @cache

@@ -94,7 +94,7 @@ class MemoryRepository(Generic[R]):
         for record in records:
             self.add(record)
 
-    def get(self, tenant: TenantId, *key: str | int) -> R | None:
+    def get(self, tenant: TenantId, *key: str | int, hold: bool = False) -> R | None:
         """See `Repository`."""
         rows = (row for row in self._rows.by_number.values() if self._key_of(row) == (tenant, *key))
         return next((row for row in rows if self._is_seen(row)), None)

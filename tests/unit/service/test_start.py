@@ -15,7 +15,8 @@ from revisit.cli.app import run
 from revisit.service.__main__ import main
 from revisit.service.composition import build_context
 from revisit.service.domain.errors import RateLimited
-from revisit.service.engines.local.sqlite.migration import MIGRATIONS, NEWEST_REVISION, current_revision
+from revisit.service.engines.local.sqlite.migration import current_revision
+from revisit.service.engines.schema import MIGRATIONS, NEWEST_REVISION
 from revisit.service.settings import Settings
 from revisit.service.telemetry import configure_logging
 

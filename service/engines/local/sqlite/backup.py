@@ -35,8 +35,9 @@ from revisit.service.engines.local.files.secret_files import keep_secret
 from revisit.service.engines.local.sqlite.backup_key import KEY_FILE, own_key, signature
 from revisit.service.engines.local.sqlite.blob_rows import named_blobs
 from revisit.service.engines.local.sqlite.connections import DATABASE, open_to_read
-from revisit.service.engines.local.sqlite.migration import current_revision, known_revisions
+from revisit.service.engines.local.sqlite.migration import current_revision
 from revisit.service.engines.local.sqlite.row_checksums import damaged_rows
+from revisit.service.engines.schema import known_revisions
 
 FORMAT = 2
 """Of a signed manifest. Backups of format 1, which are not signed, are restored where that is asked for."""

@@ -14,8 +14,9 @@ from revisit.service.engines.local.files.blobs import QUARANTINE, FileBlobStore,
 from revisit.service.engines.local.files.filesystem import MOUNTS, RemoteFileSystem, filesystem_type, require_local
 from revisit.service.engines.local.sqlite.blob_rows import named_blobs
 from revisit.service.engines.local.sqlite.connections import DATABASE, open_to_read, write_ahead_log
-from revisit.service.engines.local.sqlite.migration import NEWEST_REVISION, current_revision, known_revisions
+from revisit.service.engines.local.sqlite.migration import current_revision
 from revisit.service.engines.local.sqlite.row_checksums import damaged_rows
+from revisit.service.engines.schema import NEWEST_REVISION, known_revisions
 from revisit.service.features.upkeep.calls import WAL_ALARM_BYTES
 from revisit.service.ports.blobs import StoredBlob
 

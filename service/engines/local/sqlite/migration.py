@@ -9,27 +9,18 @@ from typing import TYPE_CHECKING
 
 from sqlalchemy import Connection
 
+from revisit.service.engines import schema
 from revisit.service.engines.local.files.filesystem import require_local
 from revisit.service.engines.local.sqlite.connections import writer_engine
 from revisit.service.engines.local.sqlite.row_checksums import seal
 from revisit.service.engines.local.sqlite.transactions import WriterLock
+from revisit.service.engines.schema import ForeignSchema
 
-if TYPE_CHECKING:  # imported where something is migrated: a worker only asks for the revision
+if TYPE_CHECKING:  # imported where something is migrated
     from alembic.config import Config
-    from alembic.script import ScriptDirectory
-
-MIGRATIONS = Path(__file__).resolve().parents[4] / "migrations"
-
-NEWEST_REVISION = max(step.name[:4] for step in (MIGRATIONS / "versions").glob("[0-9]*.py"))
-"""The schema of this version: the head of `migrations`. A start that finds it has nothing to read there."""
-
 
 LAST_OF_ALL_STEPS = "74bcf880"
 """The last commit that has the steps from the first schema to 0024: nothing was released before."""
-
-
-class ForeignSchema(Exception):
-    """The database is of a version that this one does not know."""
 
 
 def migrate(database: Path, revision: str = "head") -> None:
@@ -46,11 +37,6 @@ def migrate(database: Path, revision: str = "head") -> None:
             _migrate(database, revision)
     finally:
         lock.close()
-
-
-def known_revisions() -> frozenset[str]:
-    """The revisions that this version can open or upgrade."""
-    return frozenset(script.revision for script in _scripts().walk_revisions())
 
 
 def current_revision(database: Path) -> str | None:
@@ -72,12 +58,12 @@ def current_revision(database: Path) -> str | None:
 def _migrate(database: Path, revision: str) -> None:
     """Run the migrations on a writer's connection, in one transaction: SQLite can roll back changes of the schema."""
     present = current_revision(database)
-    if revision == "head" and present == NEWEST_REVISION:
+    if revision == "head" and present == schema.NEWEST_REVISION:
         return
     from alembic import command
     from alembic.util import CommandError
 
-    if present is not None and present not in known_revisions():
+    if present is not None and present not in schema.known_revisions():
         raise ForeignSchema(_way_from(present))
     upwards = revision == "head" or present is None
     engine = writer_engine(database, checkpoints=True, checksums=False)
@@ -93,13 +79,14 @@ def _migrate(database: Path, revision: str) -> None:
 
 def _way_from(present: str) -> str:
     """The advice for a database of an unknown revision."""
-    if present > NEWEST_REVISION:
+    newest, oldest = schema.NEWEST_REVISION, min(schema.known_revisions())
+    if present > newest:
         return (
-            f"it was written by a newer Revisit (schema {present}, this one knows up to {NEWEST_REVISION}). Start the "
-            "newer version, or restore a backup of this one"
+            f"it was written by a newer Revisit (schema {present}, this one knows up to {newest}). Start the newer "
+            "version, or restore a backup of this one"
         )
     return (
-        f"it was written by an older Revisit (schema {present}, this one begins with {min(known_revisions())}). Start "
+        f"it was written by an older Revisit (schema {present}, this one begins with {oldest}). Start "
         f"the version of commit {LAST_OF_ALL_STEPS} on it once, which upgrades it, then this one"
     )
 
@@ -112,12 +99,6 @@ def _seal(connection: Connection) -> None:
     seal(driver)
 
 
-def _scripts() -> ScriptDirectory:
-    from alembic.script import ScriptDirectory
-
-    return ScriptDirectory(str(MIGRATIONS))
-
-
 def _configuration(connection: Connection) -> Config:
     """Alembic's configuration, without an ini file."""
     from alembic.config import Config
@@ -125,5 +106,5 @@ def _configuration(connection: Connection) -> Config:
     # Batch mode: changes beyond SQLite's ALTER TABLE are made in a copy of the table.
     options = {"connection": connection, "render_as_batch": True, "transactional_ddl": True}
     config = Config(attributes={"options": options, "afterwards": partial(_seal, connection)})
-    config.set_main_option("script_location", str(MIGRATIONS))
+    config.set_main_option("script_location", str(schema.MIGRATIONS))
     return config

@@ -14,22 +14,21 @@ from __future__ import annotations
 
 import fcntl
 import os
-import queue
-import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import AbstractContextManager, ExitStack, contextmanager
-from dataclasses import dataclass, field
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Generic, TypeVar
+from typing import TypeVar
 
 from sqlalchemy import Connection
-from sqlalchemy.exc import DatabaseError, IntegrityError
+from sqlalchemy.exc import DatabaseError
 
 from revisit.core.errors import DataLoss
 from revisit.service.domain.errors import StorageFull, StorageUncertain
+from revisit.service.engines.group_commit import GroupCommitter
 from revisit.service.engines.local.clock import SystemClock
 from revisit.service.engines.local.files.disk import FailStop, may_grow, open_lock, try_lock
 from revisit.service.engines.local.sqlite.connections import (
@@ -62,10 +61,6 @@ FRAME_BYTES = 4096 + 24
 """The least by which the write-ahead log grows."""
 
 DAMAGED = ("SQLITE_CORRUPT", "SQLITE_NOTADB")
-
-MAX_GROUP = 64
-MAX_GROUP_S = 0.005
-"""A group is closed at this many members or after this long, whichever is first. It never waits for a member."""
 
 
 class SqliteTransactions:
@@ -102,8 +97,8 @@ class SqliteTransactions:
         self._writing = GroupCommitter(self._transaction)
         self._reading = ThreadPoolExecutor(READERS, thread_name_prefix="reader")
 
-    def write(self, work: Callable[[UnitOfWork], T], *, alone: bool = False) -> Future[T]:
-        """See `Transactions`."""
+    def write(self, work: Callable[[UnitOfWork], T], *, alone: bool = False, durable: bool = True) -> Future[T]:
+        """See `Transactions`; every commit is durable."""
         return self._writing.submit(lambda connection: work(self._unit_of_work(connection)), alone=alone)
 
     def read(self, work: Callable[[UnitOfWork], T]) -> Future[T]:
@@ -161,123 +156,6 @@ class SqliteTransactions:
 
     def _unit_of_work(self, connection: Connection) -> UnitOfWork:
         return SqlUnitOfWork(connection, self._engine, self._lease_ms, self._clock)
-
-
-@dataclass(frozen=True)
-class _Write(Generic[T]):
-    """Work to be committed; `alone`: in a transaction of its own."""
-
-    work: Callable[[Connection], T]
-    alone: bool
-    future: Future[T] = field(default_factory=Future)
-
-
-@dataclass(frozen=True)
-class _Outcome:
-    """The result or error of a member's work, given out after the commit of the group."""
-
-    write: _Write[Any]
-    value: Any = None
-    error: BaseException | None = None
-
-    def tell(self) -> None:
-        """Complete the future."""
-        if self.error is None:
-            self.write.future.set_result(self.value)
-        else:
-            self.write.future.set_exception(self.error)
-
-
-class GroupCommitter:
-    """One thread that runs writes in the order of their arrival and answers each after its commit.
-
-    Every member of a group runs in a savepoint: its error undoes its own changes only. Nobody is answered before
-    the commit, because even an error may depend on the changes of an earlier member. If the commit fails, all members
-    fail with it.
-    """
-
-    def __init__(self, transaction: Callable[[], AbstractContextManager[Connection]]) -> None:
-        """`transaction` begins a transaction and commits it durably at the end of its block."""
-        self._transaction = transaction
-        self._queue: queue.SimpleQueue[_Write[Any] | None] = queue.SimpleQueue()
-        self._waiting: _Write[Any] | None = None
-        self._submitting = threading.Lock()
-        self._closed = False
-        self._thread = threading.Thread(target=self._run, name="writer", daemon=True)
-        self._thread.start()
-
-    def submit(self, work: Callable[[Connection], T], *, alone: bool) -> Future[T]:
-        """Commit `work`; `alone`: it sees committed rows only."""
-        write = _Write(work, alone)
-        # It cannot be cancelled: a client that disconnects does not undo its request.
-        write.future.set_running_or_notify_cancel()
-        with self._submitting:
-            if self._closed:
-                raise RuntimeError("the store is closed")
-            self._queue.put(write)
-        return write.future
-
-    def close(self) -> None:
-        """Commit the queued work and end the thread."""
-        with self._submitting:
-            if not self._closed:
-                self._queue.put(None)
-            self._closed = True
-        self._thread.join()
-
-    def _run(self) -> None:
-        while (first := self._next()) is not None:
-            self._commit(first)
-
-    def _next(self) -> _Write[Any] | None:
-        waiting, self._waiting = self._waiting, None
-        return waiting or self._queue.get()
-
-    def _commit(self, first: _Write[Any]) -> None:
-        outcomes: list[_Outcome] = []
-        members: list[_Write[Any]] = []
-        try:
-            with self._transaction() as connection:
-                for write in self._group(first):
-                    members.append(write)
-                    outcomes.append(_attempt(connection, write))
-        except BaseException as error:  # noqa: BLE001  # every member of the group gets the error
-            outcomes = [_Outcome(write, error=error) for write in members or [first]]
-        for outcome in outcomes:
-            outcome.tell()
-
-    def _group(self, first: _Write[Any]) -> Iterator[_Write[Any]]:
-        """`first` and the writes queued behind it that may share its transaction."""
-        yield first
-        deadline = time.monotonic() + MAX_GROUP_S
-        for _ in range(0 if first.alone else MAX_GROUP - 1):
-            if time.monotonic() >= deadline:
-                return
-            try:
-                write = self._queue.get_nowait()
-            except queue.Empty:
-                return
-            if write is None:
-                self._queue.put(None)
-                return
-            if write.alone:
-                self._waiting = write
-                return
-            yield write
-
-
-def _attempt(connection: Connection, write: _Write[Any]) -> _Outcome:
-    """Run one member in a savepoint. Raises errors of the database itself: they end the whole transaction."""
-    connection.exec_driver_sql("SAVEPOINT member")
-    try:
-        outcome = _Outcome(write, value=write.work(connection))
-    except BaseException as error:  # the future carries it
-        if isinstance(error, DatabaseError) and not isinstance(error, IntegrityError):
-            raise
-        connection.exec_driver_sql("ROLLBACK TO member")
-        outcome = _Outcome(write, error=error)
-    connection.exec_driver_sql("RELEASE member")
-    return outcome
 
 
 class WriterLock:

@@ -1,0 +1,82 @@
+"""Connections to a PostgreSQL server: how a transaction begins for a writer, and how for a reader."""
+
+from __future__ import annotations
+
+from pydantic_core import from_json
+from sqlalchemy import Connection, Engine, create_engine, event, make_url
+from sqlalchemy.engine import URL
+from sqlalchemy.exc import ArgumentError
+
+READERS = 2
+"""Threads that read for the event loop. Other threads read for themselves, each with a connection of its own."""
+
+MOST_READERS = 16
+CONNECT_S = 5
+POOL_S = 5.0
+
+LOCK_MS = 2000
+"""How long a writer waits for a row that another process holds, where it holds nothing of other members itself."""
+
+TRANSACTION_S = 60
+"""After this long the server ends a transaction: one that is forgotten would keep rows locked, and dead rows."""
+
+TRANSACTION_TIMEOUT_FROM = (17,)
+"""The version of PostgreSQL that can end a transaction for its length; those before end one that does nothing."""
+
+OLDEST = (16,)
+"""The oldest version of PostgreSQL that the service runs on."""
+
+
+class UnusableServer(Exception):
+    """The address is none, or the server or database does not do for the service."""
+
+
+def server_url(text: str) -> URL:
+    """The address of a database, as `postgresql://user:password@host:port/name`. Raises UnusableServer."""
+    try:
+        url = make_url(text)
+    except ArgumentError as error:
+        raise UnusableServer("REVISIT_DATABASE_URL is no address like postgresql://user@host/name") from error
+    if url.drivername not in ("postgresql", "postgres", "postgresql+psycopg"):
+        raise UnusableServer(f"REVISIT_DATABASE_URL begins with {url.drivername}://, and only postgresql:// is known")
+    return url.set(drivername="postgresql+psycopg")
+
+
+def writer_engine(url: URL) -> Engine:
+    """An engine of one connection, whose transactions see what is committed before each statement."""
+    engine = _engine(url, pool_size=1, max_overflow=0)
+    _begin_with(engine, f"BEGIN; SET LOCAL lock_timeout = {LOCK_MS}")
+    return engine
+
+
+def reader_engine(url: URL) -> Engine:
+    """An engine for reading: its transactions see one snapshot and can change nothing."""
+    engine = _engine(url, pool_size=READERS, max_overflow=MOST_READERS - READERS)
+    _begin_with(engine, "BEGIN ISOLATION LEVEL REPEATABLE READ READ ONLY")
+    return engine
+
+
+def _engine(url: URL, *, pool_size: int, max_overflow: int) -> Engine:
+    return create_engine(
+        url,
+        json_deserializer=from_json,
+        pool_size=pool_size,
+        max_overflow=max_overflow,
+        pool_timeout=POOL_S,
+        # Transactions are begun here, in one round trip with their limits.
+        connect_args={"autocommit": True, "connect_timeout": CONNECT_S, "application_name": "revisit"},
+    )
+
+
+def _begin_with(engine: Engine, begin: str) -> None:
+    """All limits are those of the transaction, so that a pooler between may hand on the session."""
+
+    @event.listens_for(engine, "begin")
+    def begin_transaction(connection: Connection) -> None:
+        connection.exec_driver_sql(f"{begin}; {_limit(connection)}")
+
+
+def _limit(connection: Connection) -> str:
+    version = connection.dialect.server_version_info or OLDEST
+    kind = "transaction_timeout" if version >= TRANSACTION_TIMEOUT_FROM else "idle_in_transaction_session_timeout"
+    return f"SET LOCAL {kind} = '{TRANSACTION_S}s'"
