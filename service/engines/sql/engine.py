@@ -12,9 +12,10 @@ class DatabaseEngine(Protocol):
     """A database engine, as the repositories see it.
 
     The package of an engine also implements `Transactions` and brings the schema up to date. The repositories rely on
-    it for four things. A write transaction is serialisable: the rows that it has read do not change before it commits.
-    A number that a table has given to a row is never given to another, even where the row is gone. Text is ordered by
-    code point, as Python orders it. A statement that is refused (IntegrityError) ends the work that sent it.
+    it for four things. Others do not change the records that a write transaction holds before it commits, and each
+    statement sees what was committed before it. A number that a table has given to a row is never given to another,
+    even where the row is gone. Text is ordered by code point, as Python orders it. A statement that is refused
+    (IntegrityError) ends the work that sent it.
     """
 
     def last_number(self, connection: Connection, table: Table) -> int:
