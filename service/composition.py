@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import asyncio
+import hashlib
+import hmac
 import importlib
 import os
 import secrets
@@ -110,14 +112,16 @@ def build_context(settings: Settings, *, gateway: bool, fail_stop: FailStop | No
         in_flight=in_flight,
         pace=pace,
         disk=disk,
-        secret=_page_secret(settings.home),
+        secret=page_secret(settings),
     )
 
 
-def _page_secret(home: Path) -> bytes:
+def page_secret(settings: Settings) -> bytes:
     """The key that encrypts page tokens. On a full disk it is kept in memory only, and the tokens end with it."""
+    if settings.secret is not None:
+        return hmac.digest(settings.secret.get_secret_value().encode(), PAGE_SECRET.encode(), hashlib.sha256)
     try:
-        return kept_secret(home / PAGE_SECRET)
+        return kept_secret(settings.home / PAGE_SECRET)
     except (OSError, ValueError) as error:
         log.warning("page_secret_not_kept", reason=str(error))
         return secrets.token_bytes(SECRET_BYTES)

@@ -8,7 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, SecretStr
 from pydantic_core import from_json
 from pydantic_settings import NoDecode
 
@@ -22,7 +22,7 @@ from revisit.service.features.upkeep.retention import ANSWERS_KEPT_S, EVENTS_KEP
 GROUPS: Mapping[str, tuple[str, ...]] = {
     "Addresses and access": (
         "host", "http_port", "grpc_port", "metrics_port", "allowed_hosts", "insecure_bind", "authentication",
-        "tls_certificate", "tls_key", "client_ca", "client_certificates", "jwt", "webhook_private_networks",
+        "tls_certificate", "tls_key", "client_ca", "client_certificates", "jwt", "secret", "webhook_private_networks",
     ),
     "Resources and limits": (
         "home", "workers", "worker_memory_mb", "job_timeout_s", "max_queued_jobs", "tenant_storage_mb",
@@ -171,6 +171,13 @@ class Settings(AccessSettings):
         ge=limits.STRIDE_M.least,
         le=limits.STRIDE_M.most,
         description="metres between submap starts",
+    )
+
+    secret: SecretStr | None = Field(
+        default=None,
+        min_length=32,
+        description="at least 32 random characters, the same for all gateways of a service: what one of them signs, "
+        "the others take; unset: a file in `home`, for one gateway",
     )
 
     @property

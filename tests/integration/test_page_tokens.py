@@ -11,6 +11,7 @@ from revisit.service import composition
 from revisit.service.engines.local.sqlite.migration import migrate
 from revisit.service.features.resources.paging import PageTokens
 from revisit.service.settings import Settings
+from revisit.service.settings_loading import UnusableSettings, load_settings
 
 
 @pytest.fixture
@@ -38,6 +39,23 @@ def test_a_token_of_another_tenant_or_another_service_is_refused(started):
     for tokens, tenant in ((started(), "other"), (PageTokens(b"another service"), "acme")):
         with pytest.raises(BadField):
             tokens.number_in(tenant, token)
+
+
+def test_gateways_of_one_secret_take_the_tokens_of_each_other(tmp_path):
+    def tokens(home: str, secret: str) -> PageTokens:
+        return PageTokens(composition.page_secret(Settings(home=tmp_path / home, secret=secret)))
+
+    token = tokens("one", "s" * 32).after("acme", 17)
+    assert tokens("two", "s" * 32).number_in("acme", token) == 17
+    with pytest.raises(BadField):
+        tokens("two", "t" * 32).number_in("acme", token)
+
+
+def test_a_short_secret_ends_the_start_and_is_not_shown(monkeypatch):
+    monkeypatch.setenv("REVISIT_SECRET", "hunter2")
+    with pytest.raises(UnusableSettings, match="REVISIT_SECRET") as refused:
+        load_settings()
+    assert "hunter2" not in str(refused.value)
 
 
 def test_on_a_full_disk_the_service_starts_and_its_tokens_last_until_it_ends(started, monkeypatch):
