@@ -126,6 +126,7 @@ def command_line() -> str:
     import typer
 
     from revisit.cli.app import app
+    from revisit.cli.former_names import FORMER
 
     group = cast(Any, typer.main.get_command(app))
     parts = [
@@ -140,6 +141,8 @@ def command_line() -> str:
         rows = [_option_row(parameter) for parameter in command.params if parameter.name != "help"]
         parts += [f"## {name}", str(command.help)]
         parts += ["\n".join(["| argument or option | default | meaning |", "|---|---|---|", *rows])] if rows else []
+    gone = [f"| `revisit {name}` | `{instead}` |" for name, instead in FORMER.items()]
+    parts += ["## Former names", "\n".join(["| former command | instead |", "|---|---|", *gone])]
     return _page(parts)
 
 

@@ -91,7 +91,9 @@ def _run(options: argparse.Namespace, settings: Settings) -> int:
     if options.command == "serve":
         return _serve(settings)
     if current_revision(settings.database) is None:
-        return _refuse(f"there is no database at {settings.database} yet: run `revisit migrate` first")
+        return _refuse(
+            f"there is no database at {settings.database} yet: run `python -m revisit.service migrate` first"
+        )
     from revisit.service.compiled_kernels import choose_cache
 
     choose_cache(settings.home)

@@ -15,25 +15,24 @@ from revisit.cli import (
     demo,
     doctor,
     evaluate,
-    explain,
     export,
     ingest,
     inspect,
     keys,
-    loop_decisions,
     maps,
     merging,
     operations,
-    pose_graph,
     queries,
     reembed,
     serve,
     spool,
     watch,
 )
+from revisit.cli.former_names import WithFormerNames
 
 app = typer.Typer(
     name="revisit",
+    cls=WithFormerNames,
     help="Loop closure as a service for robot fleets.",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
@@ -51,10 +50,9 @@ def _version(wanted: bool) -> None:
 
 
 COMMANDS = (
-    serve.serve, serve.migrate, inspect.inspect, ingest.ingest, spool.spool, catalogue.maps, catalogue.sessions,
-    catalogue.delete, queries.query, queries.loops, loop_decisions.loop, watch.watch, explain.explain, export.export,
-    pose_graph.pose_graph, merging.merge, operations.operations, demo.demo, evaluate.evaluate, bench.bench,
-    doctor.doctor, audit.audit, reembed.reembed, backup.backup, backup.restore, backup.scrub,
+    serve.serve, inspect.inspect, ingest.ingest, spool.spool, catalogue.maps, catalogue.delete, queries.query,
+    queries.loops, watch.watch, export.export, merging.merge, operations.operations, demo.demo, evaluate.evaluate,
+    bench.bench, doctor.doctor, audit.audit, reembed.reembed, backup.backup, backup.restore, backup.scrub,
 )  # fmt: skip
 GROUPS = {
     "map": maps.group,

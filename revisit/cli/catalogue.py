@@ -1,4 +1,4 @@
-"""`revisit maps`, `sessions` and `delete`: the maps of the service and their sessions, looked at and deleted."""
+"""`revisit maps` and `delete`: the maps of the service and their sessions, looked at and deleted."""
 
 from __future__ import annotations
 
@@ -9,13 +9,16 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from revisit.cli.options import HTTP, Http, Json, MapName, Yes
+from revisit.cli.options import HTTP, Http, Json, Yes
 from revisit.cli.output import confirm, emit_json, emit_table, say
 from revisit.cli.submap_names import map_or_session
 
 if TYPE_CHECKING:
     from revisit.sdk.client import Client
-    from revisit.sdk.resources import Correction, LoopClosure
+    from revisit.sdk.resources import Correction, LoopClosure, Session
+
+PRODUCT = "product"
+"""The profile that a map has unless another one is asked for."""
 
 
 def maps(
@@ -23,7 +26,7 @@ def maps(
     http: Http = HTTP,
     json: Json = False,
 ) -> None:
-    """List the maps, oldest first; of one map, where its sessions lie to each other and how many loops hold it."""
+    """List the maps, oldest first; of one map its sessions, where they lie, and how many loops hold it."""
     from revisit.sdk.client import Client
 
     with Client(http) as client:
@@ -31,22 +34,6 @@ def maps(
             _show_map(client, map_id, json)
         else:
             _list_maps(client, json)
-
-
-def sessions(map_id: MapName = "default", http: Http = HTTP, json: Json = False) -> None:
-    """List the sessions of a map, oldest first."""
-    from revisit.sdk.client import Client
-
-    with Client(http) as client:
-        found = client.list_sessions(map_id)
-    if json:
-        emit_json([asdict(session) for session in found])
-        return
-    rows = [
-        (one.name.rpartition("/")[2], one.state, one.committed_seq, one.submap_count, f"{one.travelled_m:.1f}")
-        for one in found
-    ]
-    emit_table(f"Sessions of {map_id}", ("session", "state", "scans", "submaps", "travelled m"), rows)
 
 
 def delete(
@@ -91,44 +78,48 @@ def _list_maps(client: Client, as_json: bool) -> None:
 
 def _show_map(client: Client, map_id: str, as_json: bool) -> None:
     found = client.get_map(f"maps/{map_id}")
-    corrections = _corrections(client, found.name)
+    sessions = [(session, _correction(client, session)) for session in client.list_sessions(found.name)]
     loops = client.loop_closures(found.name, state="ALL")
     if as_json:
         emit_json(
             {
                 "map_version": found.map_version,
-                "sessions": {name: None if one is None else asdict(one) for name, one in corrections.items()},
+                "profile": found.profile,
+                "sessions": [
+                    {**asdict(one), "correction": None if correction is None else asdict(correction)}
+                    for one, correction in sessions
+                ],
                 "loops": dict(_counted(loops)),
             }
         )
         return
-    title = f"Map {map_id}, version {found.map_version or '-'}"
-    columns = ("session", "frame", "x m", "y m", "z m", "yaw deg", "sigma m")
-    emit_table(title, columns, [_row(session, correction) for session, correction in corrections.items()])
+    profile = "" if found.profile == PRODUCT else f", profile {found.profile}"
+    title = f"Map {map_id}, version {found.map_version or '-'}{profile}"
+    columns = ("session", "state", "scans", "submaps", "travelled m")
+    emit_table(title, (*columns, "frame", "x m", "y m", "z m", "yaw deg", "sigma m"), [_row(*one) for one in sessions])
     say(f"Loops: {', '.join(f'{count} {words}' for words, count in _counted(loops).items()) or 'none'}.")
 
 
-def _corrections(client: Client, map_name: str) -> dict[str, Correction | None]:
-    """The correction of each session by its id, None where the map has no frame for it yet."""
+def _correction(client: Client, session: Session) -> Correction | None:
+    """The correction of a session, None where the map has no frame for it yet."""
     from revisit.sdk.errors import FailedPrecondition
 
-    found: dict[str, Correction | None] = {}
-    for session in client.list_sessions(map_name):
-        try:
-            found[session.name.rpartition("/")[2]] = client.correction(session)
-        except FailedPrecondition:
-            found[session.name.rpartition("/")[2]] = None
-    return found
+    try:
+        return client.correction(session)
+    except FailedPrecondition:
+        return None
 
 
-def _row(session: str, correction: Correction | None) -> tuple[Any, ...]:
+def _row(session: Session, correction: Correction | None) -> tuple[Any, ...]:
+    name, driven = session.name.rpartition("/")[2], f"{session.travelled_m:.1f}"
+    described = (name, session.state, session.committed_seq, session.submap_count, driven)
     if correction is None:
-        return (session, "not in the map yet")
+        return (*described, "not in the map yet")
     T_map_odom = correction.T_map_odom
     yaw_deg = math.degrees(math.atan2(T_map_odom[1, 0], T_map_odom[0, 0]))
     sigma_m = math.sqrt(max(float(correction.covariance[:3, :3].trace()), 0.0))
     x, y, z = (f"{value:.2f}" for value in T_map_odom[:3, 3])
-    return session, correction.frame, x, y, z, f"{yaw_deg:.1f}", f"{sigma_m:.2f}"
+    return *described, correction.frame, x, y, z, f"{yaw_deg:.1f}", f"{sigma_m:.2f}"
 
 
 def _counted(loops: list[LoopClosure]) -> Counter[str]:

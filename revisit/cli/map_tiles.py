@@ -16,7 +16,6 @@ if TYPE_CHECKING:
     from revisit.sdk.resources import MapTile
 
 FORMATS = ("glb", "mesh", "pcd", "ply", "npy", "neural")
-Frame = Annotated[str, typer.Option(help="The frame of the map that is meant; needed where there are several.")]
 
 
 def tiles(
@@ -24,18 +23,32 @@ def tiles(
     out: Annotated[Path | None, typer.Option(help="File to write the surface of TILE to.")] = None,
     map_id: MapName = "default",
     file_format: Annotated[str, typer.Option("--format", help=f"{', '.join(FORMATS)}; mesh is ply.")] = "glb",
+    distance: Annotated[
+        list[str] | None,
+        typer.Option(metavar="X,Y,Z", help="Instead: how far this point is from the surface, positive in free space."),
+    ] = None,
+    frame: Annotated[
+        str, typer.Option(help="--distance: the frame of the map that is meant; needed where there are several.")
+    ] = "",
     http: Http = HTTP,
     json: Json = False,
 ) -> None:
-    """List the tiles of the version of a map in force, or download the surface of one; a worker makes it if need be."""
+    """List the tiles of the version of a map in force, or download the surface of one; a worker makes it if need be.
+
+    With `--distance`, which may be repeated: signed distances of points to the surface, metres.
+    """
     from revisit.sdk.client import Client
 
+    if distance and tile_id:
+        raise refuse("give either TILE or --distance")
     if bool(tile_id) != (out is not None):
         raise refuse("to download, give TILE and --out FILE")
     if file_format not in FORMATS:
         raise refuse(f"--format is one of {', '.join(FORMATS)}")
     with Client(http) as client:
-        if out is not None:
+        if distance:
+            _measure(client, map_id, distance, frame, json)
+        elif out is not None:
             _download(client, map_id, tile_id, file_format, out)
         else:
             _list(map_id, client.map_tiles(f"maps/{map_id}"), json)
@@ -60,27 +73,18 @@ def _download(client: Client, map_id: str, tile_id: str, file_format: str, out: 
     say(f"{out}: {len(data):,} bytes of tile {tile_id}, version {version} of map {map_id}")
 
 
-def distance(
-    points: Annotated[list[str], typer.Argument(help="X,Y,Z in metres in the map, one or more.")],
-    map_id: MapName = "default",
-    frame: Frame = "",
-    http: Http = HTTP,
-    json: Json = False,
-) -> None:
-    """Signed distances of points to the surface of a map, positive in free space."""
-    from revisit.sdk.client import Client
-
+def _measure(client: Client, map_id: str, points: list[str], frame: str, as_json: bool) -> None:
+    """Signed distances of points X,Y,Z to the surface."""
     try:
         asked = [[float(word) for word in point.split(",")] for point in points]
     except ValueError as error:
         raise refuse("a point is X,Y,Z, three numbers in metres") from error
     if any(len(point) != 3 for point in asked):
         raise refuse("a point is X,Y,Z, three numbers in metres")
-    with Client(http) as client:
-        found = client.map_distances(f"maps/{map_id}", asked, frame=frame)
+    found = client.map_distances(f"maps/{map_id}", asked, frame=frame)
     pairs = zip(points, found.distance_m.tolist(), found.nearest_m.tolist(), strict=True)
     rows = [(point, *(None if value != value else round(value, 4) for value in row)) for point, *row in pairs]
-    if json:
+    if as_json:
         keys = ("point", "distance_m", "nearest_m")
         distances = [dict(zip(keys, row, strict=True)) for row in rows]
         emit_json({"map_version": found.map_version, "frame": found.frame, "distances": distances})

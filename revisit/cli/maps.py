@@ -3,24 +3,28 @@
 from __future__ import annotations
 
 from dataclasses import asdict
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from revisit.cli import map_tiles, map_versions
-from revisit.cli.merging import show_changes
+from revisit.cli.former_names import WithFormerNames
 from revisit.cli.options import HTTP, Http, Json, MapName
 from revisit.cli.output import emit_json, emit_table, refuse, say, utc
+from revisit.cli.pose_graph import optimise_here
 from revisit.cli.waiting import waited
 
 if TYPE_CHECKING:
-    from revisit.sdk.client import Client
-    from revisit.sdk.resources import MapChange, MapMerge, MapVersion
+    from revisit.sdk.resources import MapVersion
 
-group = typer.Typer(help="Make one map out of many sessions: optimise it, look at it, go back.", no_args_is_help=True)
+group = typer.Typer(
+    help="Make one map out of many sessions: optimise it, look at it, go back.",
+    no_args_is_help=True,
+    cls=WithFormerNames,
+)
 group.command("save")(map_versions.save)
 group.command("tiles")(map_tiles.tiles)
-group.command("distance")(map_tiles.distance)
 group.command("publish")(map_versions.publish)
 group.command("check")(map_versions.check)
 
@@ -50,13 +54,28 @@ def create(
 
 
 @group.command("optimise")
-def optimise(map_id: MapName = "default", http: Http = HTTP, json: Json = False) -> None:
+def optimise(
+    map_id: MapName = "default",
+    here: Annotated[
+        bool, typer.Option("--here", help="On this machine, to look at; the map itself stays as it is.")
+    ] = False,
+    out: Annotated[
+        Path | None, typer.Option(help="--here: folder for graph.g2o and one trajectory (TUM, in the map) a session.")
+    ] = None,
+    http: Http = HTTP,
+    json: Json = False,
+) -> None:
     """Have a worker optimise the pose graph of a map, which becomes its new version.
 
-    `revisit pose-graph` does it on this machine and changes nothing.
+    With `--here`: shows the corrections of its sessions, and which loops they rest on or set aside.
     """
     from revisit.sdk.client import Client
 
+    if here:
+        optimise_here(map_id, out, http, json)
+        return
+    if out is not None:
+        raise refuse("--out is for --here; `revisit export` writes a version in force")
     with Client(http) as client:
         done = waited(client, client.optimise_map(f"maps/{map_id}"), quiet=json)
         result = done.result or {}
@@ -90,73 +109,6 @@ def versions(
             emit_json([asdict(version) for version in client.map_versions(f"maps/{map_id}")])
         else:
             _show(client.map_versions(f"maps/{map_id}"))
-
-
-@group.command("merges")
-def merges(
-    map_id: MapName = "default",
-    changes: Annotated[
-        bool, typer.Option("--changes", help="What vanished and what appeared, by the last merge that holds.")
-    ] = False,
-    undo: Annotated[
-        bool, typer.Option("--undo", help="Take the last merge back: its copies go, the poses from before return.")
-    ] = False,
-    http: Http = HTTP,
-    json: Json = False,
-) -> None:
-    """List the merges into a map, or the changes between its days by the last one; or take that one back."""
-    from revisit.sdk.client import Client
-
-    if changes and undo:
-        raise refuse("give either --changes or --undo")
-    with Client(http) as client:
-        if changes:
-            merge = _last_merge(client, map_id, "; sessions of one map are not compared")
-            _emit_changes(list(merge.changes), json)
-        elif undo:
-            _emit_undone(client.revert_merge(_last_merge(client, map_id)), json)
-        elif json:
-            emit_json([asdict(merge) for merge in client.map_merges(f"maps/{map_id}")])
-        else:
-            _show_merges(client.map_merges(f"maps/{map_id}"))
-
-
-def _last_merge(client: Client, map_id: str, hint: str = "") -> MapMerge:
-    """The last merge into a map that was not taken back. Exits where there is none, and gives the hint."""
-    held = [merge for merge in client.map_merges(f"maps/{map_id}") if merge.reverted_at_ns is None]
-    if not held:
-        raise refuse(f"no merge into map {map_id} is in force{hint}")
-    return held[-1]
-
-
-def _emit_changes(found: list[MapChange], as_json: bool) -> None:
-    if as_json:
-        emit_json([asdict(change) for change in found])
-    else:
-        show_changes(found)
-
-
-def _emit_undone(merge: MapMerge, as_json: bool) -> None:
-    if as_json:
-        emit_json(asdict(merge))
-    else:
-        _show_merges([merge])
-
-
-def _show_merges(found: list[MapMerge]) -> None:
-    rows = [
-        (
-            one.name.rpartition("/")[2],
-            one.source,
-            utc(one.created_at_ns),
-            one.version,
-            len(one.sessions),
-            len(one.changes),
-            "" if one.reverted_at_ns is None else utc(one.reverted_at_ns),
-        )
-        for one in found
-    ]
-    emit_table("Merges", ("merge", "of", "made", "version", "sessions", "changes", "taken back"), rows)
 
 
 def _emit_version(version: MapVersion, as_json: bool) -> None:

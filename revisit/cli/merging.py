@@ -1,26 +1,30 @@
-"""`revisit merge`: one map out of two, and the evidence for and against it."""
+"""`revisit merge`: one map out of two, the evidence for and against it, and the merges so far."""
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from revisit.cli.options import HTTP, Http, Json
-from revisit.cli.output import emit_json, emit_table, refuse, say
+from revisit.cli.output import emit_json, emit_table, refuse, say, utc
 from revisit.cli.submap_names import map_or_session
 from revisit.cli.waiting import waited
 
 if TYPE_CHECKING:
-    from revisit.sdk.resources import MapChange
+    from revisit.sdk.client import Client
+    from revisit.sdk.resources import MapChange, MapMerge
 
 SHOWN_CHANGES = 20
 
 
 def merge(
     into: Annotated[str, typer.Argument(help="Id of the map that grows.")],
-    source: Annotated[str, typer.Argument(help="Id of the map to merge into it, or MAP/SESSION for one session.")],
+    source: Annotated[
+        str, typer.Argument(help="Id of the map to merge into it, or MAP/SESSION for one session; none for a list.")
+    ] = "",
     dry_run: Annotated[
         bool, typer.Option("--dry-run", help="Only say what would happen, and what speaks for it.")
     ] = False,
@@ -29,12 +33,26 @@ def merge(
     ] = "",
     radius: Annotated[float, typer.Option(help="How far from there it may lie, metres.", min=0.0)] = 30.0,
     picture: Annotated[Path | None, typer.Option(help="PNG of the tracks before and after.")] = None,
+    changes: Annotated[
+        bool, typer.Option("--changes", help="What vanished and what appeared, by the last merge that holds.")
+    ] = False,
+    undo: Annotated[
+        bool, typer.Option("--undo", help="Take the last merge back: its copies go, the poses from before return.")
+    ] = False,
     http: Http = HTTP,
     json: Json = False,
 ) -> None:
-    """Merge a map, or one session of it, into another map, in a worker; exit 1 where the service refuses to."""
+    """Merge a map, or one session of it, into another map, in a worker; exit 1 where the service refuses to.
+
+    Without SOURCE: list the merges so far, or the changes by the last one; or take that one back.
+    """
     from revisit.sdk.client import Client
 
+    if not source:
+        _look_back(into, http, json, changes=changes, undo=undo)
+        return
+    if changes or undo:
+        raise refuse("--changes and --undo are of merges so far: give no SOURCE")
     with Client(http) as client:
         T_map_source = _pose(near)
         before = _tracks(client, into) if picture is not None and not dry_run else {}
@@ -51,7 +69,63 @@ def merge(
         raise refuse(f"not merged: {result.get('refusal') or result.get('outcome')}")
 
 
-def show_changes(found: list[MapChange]) -> None:
+def _look_back(map_id: str, http: str, as_json: bool, *, changes: bool, undo: bool) -> None:
+    """The merges into a map, or the changes by the last one; or that one taken back."""
+    from revisit.sdk.client import Client
+
+    if changes and undo:
+        raise refuse("give either --changes or --undo")
+    with Client(http) as client:
+        if changes:
+            merge = _last_merge(client, map_id, "; sessions of one map are not compared")
+            _emit_changes(list(merge.changes), as_json)
+        elif undo:
+            _emit_undone(client.revert_merge(_last_merge(client, map_id)), as_json)
+        elif as_json:
+            emit_json([asdict(merge) for merge in client.map_merges(f"maps/{map_id}")])
+        else:
+            _show_merges(client.map_merges(f"maps/{map_id}"))
+
+
+def _last_merge(client: Client, map_id: str, hint: str = "") -> MapMerge:
+    """The last merge into a map that was not taken back. Exits where there is none, and gives the hint."""
+    held = [merge for merge in client.map_merges(f"maps/{map_id}") if merge.reverted_at_ns is None]
+    if not held:
+        raise refuse(f"no merge into map {map_id} is in force{hint}")
+    return held[-1]
+
+
+def _emit_changes(found: list[MapChange], as_json: bool) -> None:
+    if as_json:
+        emit_json([asdict(change) for change in found])
+    else:
+        _show_changes(found)
+
+
+def _emit_undone(merge: MapMerge, as_json: bool) -> None:
+    if as_json:
+        emit_json(asdict(merge))
+    else:
+        _show_merges([merge])
+
+
+def _show_merges(found: list[MapMerge]) -> None:
+    rows = [
+        (
+            one.name.rpartition("/")[2],
+            one.source,
+            utc(one.created_at_ns),
+            one.version,
+            len(one.sessions),
+            len(one.changes),
+            "" if one.reverted_at_ns is None else utc(one.reverted_at_ns),
+        )
+        for one in found
+    ]
+    emit_table("Merges", ("merge", "of", "made", "version", "sessions", "changes", "taken back"), rows)
+
+
+def _show_changes(found: list[MapChange]) -> None:
     """Vanished and new things, the largest first."""
     rows = [
         (one.kind, *(f"{value:.1f}" for value in (*one.centre_m, *one.extent_m)), one.points)

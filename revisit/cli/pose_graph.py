@@ -1,16 +1,13 @@
-"""`revisit pose-graph`: where the sessions of a map lie to each other, and which loops that rests on."""
+"""`revisit map optimise --here`: where the sessions of a map lie to each other, and which loops that rests on."""
 
 from __future__ import annotations
 
 import math
 from collections import Counter
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
-
-import typer
+from typing import TYPE_CHECKING, Any
 
 from revisit.cli.extras import needs
-from revisit.cli.options import HTTP, Http, Json, MapName
 from revisit.cli.output import emit_json, emit_table, refuse, say, signs
 
 if TYPE_CHECKING:
@@ -20,19 +17,8 @@ if TYPE_CHECKING:
 
 
 @needs("service")
-def pose_graph(
-    map_id: MapName = "default",
-    out: Annotated[
-        Path | None, typer.Option(help="Folder for graph.g2o and one trajectory (TUM, in the map) a session.")
-    ] = None,
-    http: Http = HTTP,
-    json: Json = False,
-) -> None:
-    """Optimise a map's pose graph on this machine, to look at or to keep as files; the map itself stays as it is.
-
-    Shows the corrections of its sessions, and which loops they rest on or set aside. `revisit map optimise` changes the
-    map.
-    """
+def optimise_here(map_id: str, out: Path | None, http: str, json: bool) -> None:
+    """Optimise the pose graph of a map on this machine; write it and the trajectories to the folder `out`."""
     from revisit.cli import pose_graph_files
     from revisit.core.pose_graph.optimisation import optimise
 

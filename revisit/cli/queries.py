@@ -9,7 +9,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from revisit.cli.explain import emit_near_misses
 from revisit.cli.extras import needs
+from revisit.cli.loop_decisions import decide
 from revisit.cli.options import HTTP, Http, Json, MapName
 from revisit.cli.output import emit_json, emit_table, refuse, say
 from revisit.cli.submap_names import full_name, short_name
@@ -34,6 +36,10 @@ def query(
     storey: Annotated[
         str, typer.Option(help="Storey that the cloud was taken on: sessions on another one are left out.")
     ] = "",
+    explain: Annotated[
+        bool,
+        typer.Option("--explain", help="--submap: which gate stopped each near miss, and what passes it."),
+    ] = False,
     file: Annotated[
         Path | None, typer.Option(exists=True, dir_okay=False, help="Localise in this map file, without a service.")
     ] = None,
@@ -44,11 +50,11 @@ def query(
     from revisit.sdk.client import Client
 
     if file is not None:
-        if cloud is None or submap or exclude_session or level or storey:
-            raise refuse("--file takes a cloud, and neither --submap, --exclude-session, --level nor --storey")
+        if cloud is None or submap or exclude_session or level or storey or explain:
+            raise refuse("--file takes a cloud and --k, nothing else")
         _localize_in_file(file, cloud, k, json)
         return
-    _require_one_question(cloud, submap, storey)
+    _require_one_question(cloud, submap, storey, explain=explain)
     with Client(http) as client:
         if cloud is not None:
             where = {
@@ -57,31 +63,44 @@ def query(
                 "storey": storey or None,
             }
             _localize(client, map_id, cloud, k, where, json)
+        elif explain:
+            emit_near_misses(client, full_name(map_id, submap), k, json)
         else:
             _search(client, map_id, submap, k, exclude_session or None, json)
 
 
-def _require_one_question(cloud: Path | None, submap: str, storey: str) -> None:
-    """Refuses none or both of a cloud and a submap, and the storey of a submap."""
+def _require_one_question(cloud: Path | None, submap: str, storey: str, *, explain: bool) -> None:
+    """Refuses none or both of a cloud and a submap, the storey of a submap, and an explanation of a cloud."""
     if (cloud is None) == (not submap):
         raise refuse("give either a cloud file or --submap SESSION/SUBMAP")
     if submap and storey:
         raise refuse("--storey is that of a cloud: a submap is on the storey of its session")
+    if explain and not submap:
+        raise refuse("--explain is about a submap: give --submap SESSION/SUBMAP")
 
 
 def loops(
+    name: Annotated[str, typer.Argument(metavar="NAME", help="Id of one, to decide on it.")] = "",
     map_id: MapName = "default",
     state: Annotated[
         str | None,
         typer.Option(help="ACCEPTED, REJECTED or ALL; by default the accepted ones that the map did not set aside."),
     ] = None,
     session_id: Annotated[str, typer.Option("--session", help="Only those found by this session.")] = "",
+    accept: Annotated[bool, typer.Option("--accept", help="Accept NAME, whatever its verdict.")] = False,
+    reject: Annotated[bool, typer.Option("--reject", help="Reject NAME, whatever its verdict.")] = False,
+    revert: Annotated[bool, typer.Option("--revert", help="Take the last decision of a person on NAME back.")] = False,
+    note: Annotated[str, typer.Option(help="Why; kept with the decision.")] = "",
     http: Http = HTTP,
     json: Json = False,
 ) -> None:
-    """List the loop closures of a map."""
+    """List the loop closures of a map, or decide on one of them as a person."""
     from revisit.sdk.client import Client
 
+    decisions = [word for word, given in (("accept", accept), ("reject", reject), ("revert", revert)) if given]
+    if name or decisions or note:
+        decide(map_id, name, decisions, note, http, json)
+        return
     state = state and state.upper()
     if state not in (None, "ACCEPTED", "REJECTED", "ALL"):
         raise refuse("--state is ACCEPTED, REJECTED or ALL")

@@ -25,12 +25,6 @@ def serve(
     _run("serve", home=home, host=host, http_port=http_port, grpc_port=grpc_port, workers=workers)
 
 
-@needs("service")
-def migrate(home: Home = None) -> None:
-    """Bring the database to the schema of this version."""
-    _run("migrate", home=home)
-
-
 def _run(command: str, **settings: Path | str | int | None) -> None:
     """`python -m revisit.service COMMAND` in this process, with settings given as REVISIT_* variables."""
     for name, value in settings.items():

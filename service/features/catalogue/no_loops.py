@@ -55,7 +55,7 @@ def why_no_loops(uow: UnitOfWork, session: SessionRecord, config: LoopConfig) ->
     return NoLoops(
         NONE_ACCEPTED,
         f"{_submaps(count)}: {compared} pairs were compared and none was accepted, most often for {often} "
-        f"({reasons[often]}); revisit explain tells more",
+        f"({reasons[often]}); revisit query --explain tells more",
     )
 
 

@@ -270,13 +270,13 @@ def test_a_map_is_merged_into_another_looked_at_and_taken_out_again_by_typing(se
     picture = tmp_path / "merged.png"
     done = json.loads(invoke("merge", "typed-one", "typed-two", "--picture", picture, "--json", *at))
     assert done["verdict"] == "MERGED" and picture.stat().st_size > 10_000
-    held = ("--map", made.map_id, *at)
-    assert "maps/typed-two" in invoke("map", "merges", *held)
-    assert "VANISHED" in invoke("map", "merges", "--changes", *held)
-    assert json.loads(invoke("map", "merges", "--undo", *held, "--json"))["reverted_at_ns"] > 0
-    both = CliRunner().invoke(app, ["map", "merges", "--changes", "--undo", *held])
+    held = (made.map_id, *at)
+    assert "maps/typed-two" in invoke("merge", *held)
+    assert "VANISHED" in invoke("merge", "--changes", *held)
+    assert json.loads(invoke("merge", "--undo", *held, "--json"))["reverted_at_ns"] > 0
+    both = CliRunner().invoke(app, ["merge", "--changes", "--undo", *held])
     assert both.exit_code == 1 and "either --changes or --undo" in both.output
-    assert "not compared" in CliRunner().invoke(app, ["map", "merges", "--changes", *held]).output
+    assert "not compared" in CliRunner().invoke(app, ["merge", "--changes", *held]).output
     far = CliRunner().invoke(app, ["merge", "typed-one", "typed-two", "--near", "900,0,0,0", "--radius", "5", *at])
     assert far.exit_code == 1 and "TOO_FEW_LOOPS" in far.output
 

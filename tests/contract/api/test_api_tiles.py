@@ -132,7 +132,8 @@ def test_the_command_line_lists_downloads_and_measures(service, client, tiled, t
     assert CliRunner().invoke(app, ["map", "tiles", tile_id, "--out", str(out), *of_map]).exit_code == 0
     assert out.read_bytes() == client.download_tile(f"{tiled}/tiles/{tile_id}")
     assert CliRunner().invoke(app, ["map", "tiles", tile_id, *of_map]).exit_code == 1  # nowhere to write it
-    measured = CliRunner().invoke(app, ["map", "distance", "10,10,0.4", "10,10,9", *of_map, "--json"])
+    points = ("--distance", "10,10,0.4", "--distance", "10,10,9")
+    measured = CliRunner().invoke(app, ["map", "tiles", *points, *of_map, "--json"])
     told = json.loads(measured.stdout)
     assert [one["distance_m"] for one in told["distances"]] == [0.4, None]
-    assert CliRunner().invoke(app, ["map", "distance", "10,10", *of_map]).exit_code == 1
+    assert CliRunner().invoke(app, ["map", "tiles", "--distance", "10,10", *of_map]).exit_code == 1

@@ -36,11 +36,11 @@ def test_maps_and_sessions_are_listed_and_deleted(service, town):
     at = ("--http", service.http)
     assert town in invoke("maps", *at)
     assert town in {one["name"].partition("/")[2] for one in json.loads(invoke("maps", *at, "--json"))}
-    shown = invoke("sessions", "--map", town, *at)
+    shown = invoke("maps", town, *at)
     assert "monday" in shown and "tuesday" in shown
     invoke("delete", f"{town}/monday", *at, answer="n\n", status=1)
     invoke("delete", f"{town}/monday", *at, answer="y\n")
-    names = [one["name"] for one in json.loads(invoke("sessions", "--map", town, *at, "--json"))]
+    names = [one["name"] for one in json.loads(invoke("maps", town, *at, "--json"))["sessions"]]
     assert names == [f"maps/{town}/sessions/tuesday"]
     invoke("delete", town, *at, "--yes")
     with Client(service.http) as client, pytest.raises(NotFound):
@@ -50,13 +50,17 @@ def test_maps_and_sessions_are_listed_and_deleted(service, town):
 def test_a_loop_is_rejected_taken_back_and_accepted_by_its_id(service, town):
     at = ("--map", town, "--http", service.http)
     (loop,) = json.loads(invoke("loops", *at, "--json"))
+    explained = ("--submap", "monday/m", "--explain", *at)
+    assert "Near misses of monday/m" in invoke("query", *explained)
+    assert json.loads(invoke("query", *explained, "--json")) == []
     short = loop["name"].rpartition("/")[2]
     assert short in invoke("loops", *at)
-    assert CliRunner().invoke(app, ["loop", "praise", short, *at]).exit_code == 1
-    assert "REJECTED" in invoke("loop", "reject", short, *at, "--note", "two halls that look alike")
+    assert CliRunner().invoke(app, ["loops", short, *at]).exit_code == 1
+    assert "REJECTED" in invoke("loops", short, "--reject", *at, "--note", "two halls that look alike")
     assert json.loads(invoke("loops", *at, "--json")) == []
-    assert json.loads(invoke("loop", "revert", short, *at, "--json"))["state"] == "ACCEPTED"
-    assert json.loads(invoke("loop", "accept", loop["name"], "--http", service.http, "--json"))["state"] == "ACCEPTED"
+    assert json.loads(invoke("loops", short, "--revert", *at, "--json"))["state"] == "ACCEPTED"
+    accepted = invoke("loops", loop["name"], "--accept", "--http", service.http, "--json")
+    assert json.loads(accepted)["state"] == "ACCEPTED"
 
 
 def test_every_scan_of_a_recording_gets_its_pose_in_the_map(service, tmp_path):

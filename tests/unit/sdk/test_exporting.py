@@ -101,7 +101,9 @@ def shown(monkeypatch, graph, *arguments):
 
 def test_pose_graph_says_where_sessions_lie_and_which_loops_that_rests_on(monkeypatch, tmp_path):
     graph = two_days(wrong=(4,))
-    answer = json.loads(shown(monkeypatch, graph, "pose-graph", "--out", tmp_path / "town", "--json").stdout)
+    answer = json.loads(
+        shown(monkeypatch, graph, "map", "optimise", "--here", "--out", tmp_path / "town", "--json").stdout
+    )
     monday, tuesday = answer["sessions"]
     assert [one["frame"] for one in (monday, tuesday)] == ["maps/town/sessions/monday"] * 2
     found = [tuesday["T_map_odom"]["translation"][axis] for axis in "xyz"]
@@ -111,15 +113,15 @@ def test_pose_graph_says_where_sessions_lie_and_which_loops_that_rests_on(monkey
     # In the map, the two drives are one.
     first, second = (np.loadtxt(tmp_path / "town" / f"{day}.tum") for day in ("monday", "tuesday"))
     np.testing.assert_allclose(first[:, 1:4], second[:, 1:4], atol=0.05)
-    assert "9 in the map, 1 set aside" in shown(monkeypatch, graph, "pose-graph").stdout
+    assert "9 in the map, 1 set aside" in shown(monkeypatch, graph, "map", "optimise", "--here").stdout
 
 
-@pytest.mark.parametrize("command", ["pose-graph", "export"])
+@pytest.mark.parametrize("command", [["map", "optimise", "--here"], ["export"]])
 def test_without_scipy_one_line_says_what_to_install(monkeypatch, command):
     for name in [name for name in sys.modules if name.startswith("revisit.core.pose_graph")]:
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, "scipy.sparse", None)
-    refused = shown(monkeypatch, two_days(), command)
+    refused = shown(monkeypatch, two_days(), *command)
     assert refused.exit_code != 0
     assert "scipy.sparse is not installed" in refused.stderr + str(refused.exception)
 
