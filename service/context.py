@@ -21,7 +21,6 @@ from revisit.service.features.deletion.erasure import Erasure
 from revisit.service.features.index.keeping import IndexHealth, IndexKeeper
 from revisit.service.features.index.place_memory import PlaceMemory
 from revisit.service.features.ingest.clouds import CloudDecoder
-from revisit.service.features.ingest.open_streams import OpenStreams
 from revisit.service.features.merging.job import MapMerging
 from revisit.service.features.operations.job_runner import JobRunner
 from revisit.service.features.optimisation.job import MapOptimisation
@@ -58,7 +57,6 @@ class ServiceContext:
     pace: CallPace = field(default_factory=CallPace)
     disk: DiskSpace = field(default_factory=UnlimitedDisk)
     index_health: IndexHealth = field(default_factory=IndexHealth)
-    open_streams: OpenStreams = field(default_factory=OpenStreams)
     budget: ByteBudget = field(default_factory=ByteBudget)
     secret: bytes = field(default_factory=lambda: secrets.token_bytes(32))
     """Known to nobody else: makes the tokens of pages unreadable."""

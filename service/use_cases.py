@@ -89,10 +89,10 @@ class UseCases:
         tail, writes = EventTail(of.storage, admission), ReadYourWrites(of.storage, admission)
         answers = WorkerAnswers(context, operations)
         return cls(
-            maps=Maps(context, of.erasure, of.index, of.open_streams),
+            maps=Maps(context, of.erasure, of.index),
             robots=Robots(context),
-            sessions=Sessions(context, of.erasure, of.open_streams),
-            scans=Scans(context, of.decoder, of.in_flight, of.open_streams),
+            sessions=Sessions(context, of.erasure),
+            scans=Scans(context, of.decoder, of.in_flight),
             posting=SubmapPosting(context, of.decoder),
             submaps=Submaps(context, rendering, SubmapMeshes(context, answers)),
             searches=Searches(context, of.decoder, of.memory, answers, writes),

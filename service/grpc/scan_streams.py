@@ -59,16 +59,15 @@ class ScanStreams:
         opening = await _open_of(requests)
         tenant, session = current_tenant(), names.session_key(opening.session, "session")
         scans, resume = self._use_cases.scans, ResumePoint(opening.resume_token, opening.acknowledged_seq)
-        with scans.deletion_of(tenant, session) as ended:
-            opened = await scans.open(tenant, session, resume)
-            stream = _ScanStream(self._use_cases, tenant, session, ended)
-            older = self._streams.get(stream.key)
-            with scans.reserve_stream(tenant, replaces=older is not None):
-                self._streams[stream.key] = stream
-                if older is not None:
-                    older.fence()
-                async for response in self._answers(stream, opened, requests, opening):
-                    yield response
+        opened = await scans.open(tenant, session, resume)
+        stream = _ScanStream(self._use_cases, tenant, opened)
+        older = self._streams.get(stream.key)
+        with scans.reserve_stream(tenant, replaces=older is not None):
+            self._streams[stream.key] = stream
+            if older is not None:
+                older.fence()
+            async for response in self._answers(stream, opened, requests, opening):
+                yield response
 
     async def _answers(
         self,
@@ -91,13 +90,12 @@ class ScanStreams:
 class _ScanStream:
     """One open stream: a reader answers scans in order, watchers report loops and the drain, all into one queue."""
 
-    def __init__(self, use_cases: UseCases, tenant: TenantId, session: SessionKey, deleted: asyncio.Event) -> None:
+    def __init__(self, use_cases: UseCases, tenant: TenantId, opened: OpenedStream) -> None:
         self.tenant = tenant
-        self.session = session
+        self.session = opened.session
         self._use_cases = use_cases
-        self._deleted = deleted
         self._fenced = asyncio.Event()
-        self._scans = ScanStream.new()
+        self._scans = ScanStream.of(opened.session_number)
         self._handler: asyncio.Task[Any] = asyncio.current_task()  # type: ignore[assignment]  # made by its call
         self._answers: asyncio.Queue[pb.StreamScansResponse | None] = asyncio.Queue(maxsize=2 * CREDITS)
 
@@ -195,7 +193,7 @@ class _ScanStream:
         raise StreamFenced
 
     async def _watch_deletion(self) -> None:
-        await self._deleted.wait()
+        await self._use_cases.scans.deleted(self.tenant, self._scans.session_number)
         raise NotFound(f"session {self.session.name!r} was deleted"[:300])
 
     async def _watch_loops(self, after: int) -> None:

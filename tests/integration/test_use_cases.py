@@ -26,6 +26,7 @@ from revisit.service.features.catalogue.maps import CreateMap
 from revisit.service.features.catalogue.sessions import CreateSession
 from revisit.service.features.deletion import blob_references
 from revisit.service.features.index.answers import SearchCriteria
+from revisit.service.features.ingest.calls import ScanStream
 from revisit.service.features.resources.paging import PageRequest
 from revisit.service.features.search.calls import LocalizeQuery
 from revisit.service.features.upkeep.retention import forget_answers
@@ -391,6 +392,17 @@ async def test_a_scan_again_is_acknowledged_and_ignored_and_a_gap_is_refused(wor
         await world.use_cases.scans.append(TENANT, scan(4, 4.0))
     assert gap.value.expected == 3
     assert (await world.use_cases.scans.open(TENANT, SESSION)).committed_seq == 2
+
+
+async def test_a_stream_stores_nothing_in_a_later_session_of_the_same_name(world):
+    await open_session(world)
+    scans = world.use_cases.scans
+    stream = ScanStream.of((await scans.open(TENANT, SESSION)).session_number)
+    await world.use_cases.sessions.delete(TENANT, SESSION)
+    await world.use_cases.sessions.create(TENANT, CreateSession(SESSION.map_id, SESSION.session_id))
+    with pytest.raises(NotFound, match="was deleted"):
+        await scans.append(TENANT, replace(scan(1, 1.0), stream=stream))
+    assert (await scans.append(TENANT, scan(1, 1.0))).committed_seq == 1
 
 
 async def test_a_robot_that_restarted_is_told_to_take_a_new_session(world):

@@ -16,7 +16,6 @@ from revisit.service.features.audit import calls as audit
 from revisit.service.features.audit.calls import AuditEntry
 from revisit.service.features.deletion.erasure import Erasure
 from revisit.service.features.deletion.rows import mark_map
-from revisit.service.features.ingest.open_streams import OpenStreams
 from revisit.service.features.resources.call_context import CallContext
 from revisit.service.features.resources.paging import Page, PageRequest
 from revisit.service.ports.index import VectorIndex
@@ -75,12 +74,11 @@ class CreatedMap:
 class Maps:
     """Create, get, list and delete maps."""
 
-    def __init__(self, context: CallContext, erasure: Erasure, index: VectorIndex, streams: OpenStreams) -> None:
+    def __init__(self, context: CallContext, erasure: Erasure, index: VectorIndex) -> None:
         """`index` forgets a deleted map, its `streams` end, and its rows and blobs go through `erasure`."""
         self._context = context
         self._erasure = erasure
         self._index = index
-        self._streams = streams
 
     async def create(self, tenant: TenantId, command: CreateMap) -> CreatedMap:
         """Create a map.
@@ -117,7 +115,6 @@ class Maps:
         work = partial(_delete, map_id=map_id, entry=entry, at_ns=self._context.clock.wall_ns())
         number = await self._context.storage.write(work)
         failpoint("delete.after_mark")
-        self._streams.end(tenant, map_id)
         self._index.drop(number)
         await self._erasure.soon(tenant, map_id)
 

@@ -24,7 +24,6 @@ from revisit.service.features.catalogue.odometry_findings import SessionFinding,
 from revisit.service.features.deletion.blob_references import Blob, BlobCollector
 from revisit.service.features.deletion.erasure import Erasure
 from revisit.service.features.deletion.rows import mark_session
-from revisit.service.features.ingest.open_streams import OpenStreams
 from revisit.service.features.ingest.rules import add_window_submap, remainder
 from revisit.service.features.resources.call_context import CallContext
 from revisit.service.features.resources.paging import Page, PageRequest
@@ -91,12 +90,11 @@ class CreatedSession:
 class Sessions:
     """Create, get, list, finish and delete sessions."""
 
-    def __init__(self, context: CallContext, erasure: Erasure, streams: OpenStreams) -> None:
+    def __init__(self, context: CallContext, erasure: Erasure) -> None:
         """A deleted session goes through `erasure`, and its `streams` end."""
         self._context = context
         self._collector = BlobCollector(context.storage)
         self._erasure = erasure
-        self._streams = streams
 
     async def create(self, tenant: TenantId, command: CreateSession) -> CreatedSession:
         """Create a session.
@@ -149,7 +147,6 @@ class Sessions:
             partial(_delete, key=key, entry=entry, at_ns=self._context.clock.wall_ns())
         )
         failpoint("delete.after_mark")
-        self._streams.end(tenant, key.map_id, key.session_id)
         await self._collector.collect(tenant, doomed)
         await self._erasure.soon(tenant, key.map_id, key.session_id)
 

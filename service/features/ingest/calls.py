@@ -10,7 +10,7 @@ from __future__ import annotations
 import asyncio
 import hashlib
 import secrets
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
 from functools import partial
@@ -36,16 +36,19 @@ from revisit.service.features.ingest.clouds import (
     reading_points,
     unpack_cloud,
 )
-from revisit.service.features.ingest.open_streams import OpenStreams
 from revisit.service.features.ingest.posting import PostedSubmap
 from revisit.service.features.ingest.rules import ScanRange, add_window_submap
 from revisit.service.features.resources.call_context import CallContext
+from revisit.service.features.waiting.shared_poll import SharedPoll
 from revisit.service.ports.blobs import CLOUD_BLOB
 from revisit.service.ports.storage import require_active, require_map, require_session
 from revisit.service.ports.transactions import UnitOfWork
 
 SAME_POSE = 1e-9
 """Numbers of a pose that differ by less, metres or none, are the same number rounded twice."""
+
+ENDS_WITHIN_S = 1.0
+"""An idle stream ends so soon after its session was deleted: one question a tenant for all streams of a gateway."""
 
 SESSIONS_REMEMBERED = 4096
 """Sessions with their window rules in memory, about 1 kB each."""
@@ -63,19 +66,25 @@ class ScanStream:
     """
 
     token: str
+    session_number: int
     took_over: bool = False
 
     @classmethod
-    def new(cls) -> ScanStream:
+    def of(cls, session_number: int) -> ScanStream:
         """A stream that has stored nothing yet."""
-        return cls(secrets.token_hex(16))
+        return cls(secrets.token_hex(16), session_number)
 
     def begun(self) -> ScanStream:
         """The stream once it has stored a scan."""
         return replace(self, took_over=True)
 
     def entered(self, session: SessionRecord) -> SessionRecord:
-        """The session as this stream stores a scan in it. Raises StreamFenced where a newer one took over."""
+        """The session as this stream stores a scan in it.
+
+        Raises StreamFenced where a newer one took over; NotFound where its session was deleted, and this is another.
+        """
+        if session.number != self.session_number:
+            raise NotFound(f"session {session.session_id!r} was deleted"[:300])
         if self.took_over and session.stream != self.token:
             raise StreamFenced
         return replace(session, stream=self.token)
@@ -118,10 +127,11 @@ class ResumePoint:
 class OpenedStream:
     """Where a client resumes: the next scan to send is `committed_seq + 1`.
 
-    `resume_token` names this session and no other that may get its name later.
+    `resume_token` and `session_number` name this session and no other that may get its name later.
     """
 
     session: SessionKey
+    session_number: int
     committed_seq: int
     resume_token: str
 
@@ -139,12 +149,12 @@ class _Accepted:
 class Scans:
     """Open a session's stream and append scans to it."""
 
-    def __init__(self, context: CallContext, decoder: CloudDecoder, in_flight: InFlight, streams: OpenStreams) -> None:
-        """`in_flight` counts clouds that arrive, `streams` those that are open."""
+    def __init__(self, context: CallContext, decoder: CloudDecoder, in_flight: InFlight) -> None:
+        """`in_flight` counts clouds that arrive, and open streams."""
         self._context = context
         self._decoder = decoder
         self._in_flight = in_flight
-        self._streams = streams
+        self._deletions = SharedPoll(context.storage, _still_there)
         self._window_configs: dict[int, SubmapConfig] = {}
 
     async def open(self, tenant: TenantId, session: SessionKey, resume: ResumePoint = ResumePoint()) -> OpenedStream:
@@ -161,11 +171,12 @@ class Scans:
         if resume.acknowledged_seq > record.committed_seq:
             raise SequenceGap(record.committed_seq + 1, resume.acknowledged_seq + 1)
         require_active(record)
-        return OpenedStream(session, record.committed_seq, token)
+        return OpenedStream(session, record.number, record.committed_seq, token)
 
-    def deletion_of(self, tenant: TenantId, session: SessionKey) -> AbstractContextManager[asyncio.Event]:
-        """An event that is set when the session is deleted; to be entered before `open`."""
-        return self._streams.deletion_of(tenant, session)
+    async def deleted(self, tenant: TenantId, session_number: int) -> None:
+        """Returns once the session is deleted, by whichever gateway, or with its map."""
+        while not await self._deletions.has_come(tenant, session_number, ENDS_WITHIN_S):
+            pass
 
     def reserve_stream(self, tenant: TenantId, *, replaces: bool) -> AbstractContextManager[None]:
         """The slot of one more stream (see `InFlight.reserve_stream`). Raises RateLimited."""
@@ -283,6 +294,11 @@ def _accept(command: AppendScan) -> _Accepted:
     scan = Scan.posed(cloud.points, report, command.T_odom_sensor, command.stamp_ns)
     packed = pack_cloud(cloud)
     return _Accepted(command.seq, scan, packed, hashlib.sha256(packed).hexdigest())
+
+
+def _still_there(uow: UnitOfWork, tenant: TenantId, session_numbers: frozenset[int]) -> Collection[int]:
+    """Those sessions that are not deleted."""
+    return uow.sessions.numbered(tenant, sorted(session_numbers))
 
 
 def _is_replay(session: SessionRecord, seq: int) -> bool:

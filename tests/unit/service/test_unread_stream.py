@@ -21,7 +21,7 @@ async def test_a_stream_whose_answers_nobody_reads_is_given_up(monkeypatch):
             await asyncio.sleep(0)
 
     async def handler():
-        stream = scan_streams._ScanStream(world.use_cases, TENANT, SESSION, asyncio.Event())
+        stream = scan_streams._ScanStream(world.use_cases, TENANT, await world.use_cases.scans.open(TENANT, SESSION))
         async for _ in stream.run(scans(), ingest_pb2.Open()):
             await asyncio.Event().wait()  # the write that flow control holds back for ever
 
