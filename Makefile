@@ -61,10 +61,10 @@ bench: $(STAMP) ## measure the product and compare with the committed baseline
 	$(BIN)/revisit bench --check
 
 proto: $(STAMP) ## write the Python stubs of proto/
-	$(PYTHON) scripts/generated_files.py write proto
+	$(PYTHON) scripts/generated_files.py write proto resources
 
 docs: $(STAMP) ## write the reference pages, openapi.json and the index of the decisions
-	$(PYTHON) scripts/generated_files.py write parameters openapi references decisions
+	$(PYTHON) scripts/generated_files.py write parameters openapi references async decisions
 
 site: $(STAMP) ## build the documentation as a website in build/site; search works offline
 	$(PYTHON) scripts/site.py

@@ -4,6 +4,7 @@ proto        revisit/v1/*_pb2*         out of proto/revisit/v1
 parameters   docs/reference/parameters.md   out of core/config.py
 openapi      docs/reference/openapi.json    out of service.rest, and service/web/docs.html out of it
 references   docs/reference/{errors,settings,cli,rest-and-grpc,sdk}.md   out of the code they describe
+resources    revisit/sdk/resources.py   out of the messages
 async        revisit/sdk/async_client.pyi   out of the groups of calls of the SDK
 decisions    docs/decisions/README.md   out of the decisions' own lines
 """
@@ -91,6 +92,13 @@ def write_references(out: Path) -> None:
         _write(out / f"docs/reference/{name}.md", page())
 
 
+def write_resources(out: Path) -> None:
+    """Write the resources of the SDK under `out`."""
+    from scripts import sdk_resources
+
+    _write(out / sdk_resources.PATH, sdk_resources.module())
+
+
 def write_async_stub(out: Path) -> None:
     """Write the types of the asynchronous client under `out`."""
     from scripts import async_stub
@@ -107,6 +115,7 @@ def write_decisions(out: Path) -> None:
 
 GENERATORS: dict[str, Callable[[Path], None]] = {
     "proto": write_stubs,
+    "resources": write_resources,
     "parameters": write_parameters,
     "openapi": write_openapi,
     "references": write_references,

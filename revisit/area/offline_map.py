@@ -98,7 +98,7 @@ class AreaMap:
         accepted = [n for n, candidate in enumerate(judged) if candidate.accepted]
         best = max(accepted, key=lambda n: (judged[n].score, -n), default=None)
         if best is None or (T_match_query := judged[best].T_match_query) is None:
-            return Localization(None, None, None, tuple(judged))
+            return Localization(candidates=tuple(judged))
         submap = self.file.submaps[found[best].id]
         return Localization(
             best=judged[best],
@@ -185,7 +185,8 @@ class AreaMap:
     def _hit(self, match: Match) -> SearchHit:
         submap = self.file.submaps[match.id]
         x, y, z = (float(value) for value in submap.T_odom_submap[:3, 3])
-        return SearchHit(submap.name, match.similarity, (x, y, z), self._map_pose(submap, submap.T_map_submap))
+        in_map = self._map_pose(submap, submap.T_map_submap)
+        return SearchHit(submap=submap.name, similarity=match.similarity, position_m=(x, y, z), in_map=in_map)
 
     def _map_pose(self, submap: FiledSubmap, T_map: Matrix4) -> MapPose:
         return MapPose(T_map, submap.frame, int(self.file.description.map_version))

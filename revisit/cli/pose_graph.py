@@ -49,7 +49,7 @@ def _write(out: Path, read: Graph, graph: PoseGraph, optimised: OptimisedGraph) 
 
 
 def _summary(graph: PoseGraph, optimised: OptimisedGraph) -> dict[str, Any]:
-    from revisit.sdk.resources import pose_json
+    from revisit.sdk.messages import pose_json
 
     sessions = [
         {

@@ -9,10 +9,10 @@ from google.protobuf.json_format import ParseDict, ParseError
 from google.protobuf.message import Message
 
 from revisit.core.errors import RevisitError
+from revisit.core.geometry import se3
 from revisit.sdk.clouds import Cloud, PointsLike, encoded
 from revisit.sdk.errors import ErrorDetails, InvalidArgument
 from revisit.sdk.reading import Json
-from revisit.sdk.resources import pose_json
 from revisit.v1 import cloud_pb2
 
 M = TypeVar("M", bound=Message)
@@ -47,6 +47,14 @@ def cloud_message(cloud: Cloud) -> cloud_pb2.Cloud:
 def cloud_of(points: PointsLike) -> cloud_pb2.Cloud:
     """Points as they are sent."""
     return cloud_message(encoded(points))
+
+
+def pose_json(T_target_source: Any) -> Json:
+    """A (4, 4) or (3, 4) transform as the JSON of a Transform. Raises core.errors.BadTransform."""
+    transform = se3.validated(T_target_source)
+    translation = dict(zip("xyz", (float(v) for v in transform[:3, 3]), strict=True))
+    rotation = dict(zip("xyzw", (float(v) for v in se3.to_quaternion(transform)), strict=True))
+    return {"translation": translation, "rotation": rotation}
 
 
 def pose_message(transform: Any, field: str, *, required: bool = False) -> Json | None:

@@ -1,551 +1,465 @@
-"""Answers of the service as frozen dataclasses, made from the messages of both transports."""
+"""Answers of the service as frozen dataclasses. Generated from proto/revisit/v1 by `make proto`; do not edit.
+
+Optional fields are None where the service says nothing, also those that are empty or 0 in the interface.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
-from revisit.core.geometry import se3
-from revisit.sdk.reading import Json, Matrix4, Read, Resource, covariance_of, matrix, read_by, vector_of
-
-
-def pose_json(T_target_source: Any) -> Json:
-    """A (4, 4) or (3, 4) transform as the JSON of a Transform. Raises core.errors.BadTransform."""
-    transform = se3.validated(T_target_source)
-    translation = dict(zip("xyz", (float(v) for v in transform[:3, 3]), strict=True))
-    rotation = dict(zip("xyzw", (float(v) for v in se3.to_quaternion(transform)), strict=True))
-    return {"translation": translation, "rotation": rotation}
+from revisit.sdk.own_resources import KeypointPlan as KeypointPlan
+from revisit.sdk.own_resources import LoopKeypoints as LoopKeypoints
+from revisit.sdk.own_resources import MapDistances as MapDistances
+from revisit.sdk.own_resources import MapPoints as MapPoints
+from revisit.sdk.own_resources import MapPose as MapPose
+from revisit.sdk.own_resources import MapTile as MapTile
+from revisit.sdk.own_resources import Operation as Operation
+from revisit.sdk.own_resources import OperationProgress as OperationProgress
+from revisit.sdk.own_resources import Status as Status
+from revisit.sdk.own_resources import Webhook as Webhook
+from revisit.sdk.own_resources import in_map
+from revisit.sdk.reading import Json, Matrix4, Resource, covariance_of, read_by
 
 
-def _in_map(pose: str) -> Read:
-    """A pose in the map: the transform in the field `pose`, with its frame and version."""
-
-    def read(message: Any) -> MapPose | None:
-        if not message.HasField(pose):
-            return None
-        return MapPose(matrix(getattr(message, pose)), message.frame, message.map_version)
-
-    return read
-
-
-def _pairs(message: Any) -> NDArray[np.int64]:
-    return np.array([(pair.query, pair.match) for pair in message.pairs], dtype=np.int64).reshape(-1, 2)
-
-
-def _agreements(message: Any) -> NDArray[np.bool_]:
-    return np.array([pair.agrees for pair in message.pairs], dtype=bool)
-
-
-def _distances(name: str) -> Read:
-    """Numbers (n,), NaN where one is absent."""
-    return lambda message: np.array(
-        [getattr(one, name) if one.HasField(name) else np.nan for one in message.distances], dtype=np.float64
-    )
-
-
-def _rows(name: str) -> Read:
-    """Points or directions (n, 3)."""
-    return lambda message: np.array(
-        [vector_of(getattr(one, name)) for one in message.points], dtype=np.float64
-    ).reshape(-1, 3)
-
-
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class LoopPolicy(Resource):
-    """Which loop closures are accepted; None stands for the value of the service.
-
-    `candidates`: submaps that are verified for each new one. A candidate is accepted with a score of at least
-    `min_score` and an overlap of at least `min_overlap`, where at most `max_seen_through` of it was looked through.
-    """
+    """Which loop closures are accepted. In a request, absent fields are as the service is configured."""
 
     candidates: int | None = None
+    """Submaps that are verified for each new one: 1 to 100."""
     min_score: float | None = None
+    """The least score: 0 to 1."""
     min_overlap: float | None = None
+    """The least overlap of the two surfaces: 0 to 1."""
     max_seen_through: float | None = None
+    """The largest part of one place that the other has looked through: 0 to 1."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Map(Resource):
-    """A map; `scene_scale` is the size of its scene compared with a street, `loop_policy` has the values in force.
+    """A map. `tau_m`, `stride_m` and `leave_distance_m` are the values in force."""
 
-    `map_version` is the version of its poses that answers rest on, 0 before the first. `profile` is the form of the
-    method that describes its submaps, product or paper.
-    """
-
-    name: str
-    display_name: str
-    tau_m: float
-    stride_m: float
-    leave_distance_m: float
-    scene_scale: float
-    session_count: int
-    submap_count: int
-    created_at_ns: int
-    loop_policy: LoopPolicy = LoopPolicy()
+    name: str = ""
+    """maps/{map}"""
+    display_name: str = ""
+    tau_m: float = 0.0
+    """Travelled distance covered by one submap, metres."""
+    stride_m: float = 0.0
+    """Travelled distance between the starts of two submaps, metres."""
+    session_count: int = 0
+    submap_count: int = 0
+    created_at_ns: int = 0
+    scene_scale: float = 0.0
+    """Size of its scene compared with a street."""
+    loop_policy: LoopPolicy
+    """Which loop closures of this map are accepted: the values in force."""
     map_version: int = 0
-    profile: str = "product"
+    """The version of its poses that answers rest on (maps/{map}/versions/{version}), 0 before the first."""
+    leave_distance_m: float = 0.0
+    """So far a drive must have been from a place, before it comes back, for a loop within the drive, metres."""
+    profile: str = ""
+    """The form of the method that describes its submaps: product, or paper."""
 
 
-@dataclass(frozen=True)
-class MapPose:
-    """A pose (4, 4) in a frame of the map, by a version of the map; poses of different frames cannot be compared."""
-
-    T_map: Matrix4 = field(compare=False)
-    frame: str
-    map_version: int
-
-
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Robot(Resource):
     """A robot."""
 
-    name: str
-    display_name: str
-    created_at_ns: int
+    name: str = ""
+    """robots/{robot}"""
+    display_name: str = ""
+    created_at_ns: int = 0
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Finding(Resource):
-    """A likely mistake in the scans of a number of submaps: its likely cause, and advice."""
+    """Something about scans that is unlikely to be meant."""
 
-    code: str
-    submaps: int
-    cause: str
-    advice: str
+    code: str = ""
+    """As scene_too_large, ground_tilted, pose_jump, time_unit."""
+    submaps: int = 0
+    """How many submaps of the session have it."""
+    cause: str = ""
+    """What most likely causes it."""
+    advice: str = ""
+    """What to do."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class NoLoops(Resource):
-    """Why a session has no accepted loop: a code, and the same in words, with figures."""
+    """Why a session has no accepted loop."""
 
-    code: str
-    message: str
+    code: str = ""
+    """NO_SUBMAP, NOT_DESCRIBED, NOTHING_TO_COMPARE (it came back to no place that it had left, and no other session may
+    be compared) or NONE_ACCEPTED.
+    """
+    message: str = ""
+    """The same in words, with figures."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Session(Resource):
-    """A session; `committed_seq` is the last scan that is stored durably, 0 for none, taken at `committed_stamp_ns`.
+    """A session."""
 
-    `findings` are likely mistakes in its scans so far; `no_loops` says why it has no accepted loop, once it
-    is finished and described. Neither is in lists of sessions. `storey` is None where nobody said it.
-    """
-
-    name: str
-    robot: str | None
-    state: str
-    committed_seq: int
-    travelled_m: float
-    submap_count: int
-    created_at_ns: int
-    finished_at_ns: int | None
-    committed_stamp_ns: int | None
+    name: str = ""
+    """maps/{map}/sessions/{session}"""
+    robot: str | None = None
+    """robots/{robot}, or empty."""
+    state: str = ""
+    """ACTIVE or FINISHED."""
+    committed_seq: int = 0
+    """The last scan stored durably, 0 for none."""
+    travelled_m: float = 0.0
+    submap_count: int = 0
+    created_at_ns: int = 0
+    finished_at_ns: int | None = None
+    committed_stamp_ns: int | None = None
+    """When the last stored scan was taken; absent before the first."""
     findings: tuple[Finding, ...] = ()
+    """What is unlikely to be meant about its scans (units, frames, times), by how many of its submaps have it, the most
+    frequent first. Not in lists of sessions.
+    """
     storey: str | None = None
+    """The storey of a building that the session was driven on, as B2; empty where nobody said it."""
     no_loops: NoLoops | None = None
-
-
-@dataclass(frozen=True)
-class Operation(Resource):
-    """Work that goes on after the answer; `result` once DONE, `failure_reason` once FAILED.
-
-    `seq` is that of the submap, where `post_submap` returned the operation: the `min_seq` of a query that must see it.
-    `progress` is there while it optimises or merges maps; `cancel_requested` says that it is asked to end.
+    """Why a finished session has no accepted loop; absent where it has one, or where submaps wait to be described. Not
+    in lists of sessions.
     """
 
-    name: str
-    kind: str
-    state: str
-    subject: str
-    attempts: int
-    result: Json | None
-    failure_reason: str | None = field(metadata=read_by(lambda message: message.failure.reason or None))
-    failure_message: str | None = field(metadata=read_by(lambda message: message.failure.message or None))
-    seq: int | None = field(default=None, compare=False, metadata=read_by(lambda _message: None))
-    progress: OperationProgress | None = field(default=None, compare=False)
-    cancel_requested: bool = field(default=False, compare=False)
 
-    @property
-    def done(self) -> bool:
-        """Whether it has ended, well or not."""
-        return self.state in ("DONE", "FAILED")
+@dataclass(frozen=True, kw_only=True)
+class Failure(Resource):
+    """Why work failed: a reason of the error table and a sentence."""
+
+    reason: str = ""
+    message: str = ""
 
 
-@dataclass(frozen=True)
-class OperationProgress(Resource):
-    """How far an operation has come: `done` of `total` parts of a stage."""
-
-    stage: str
-    done: int
-    total: int
-
-
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Submap(Resource):
-    """A submap; sizes in bytes, the position in the session's odometry frame.
+    """A submap."""
 
-    `descriptor` is there where the full view was asked for and the submap is described. `seq` grows with every submap
-    of the service: a query with it as `min_seq` sees this submap. `in_map` is T_map_submap where its session has a
-    frame.
-    """
-
-    name: str
-    state: str
-    ordinal: int
+    name: str = ""
+    """maps/{map}/sessions/{session}/submaps/{submap}"""
+    state: str = ""
+    """QUEUED, DESCRIBED or FAILED."""
+    ordinal: int = 0
+    """Counts the submaps of its session from 0."""
     T_odom_submap: Matrix4 = field(compare=False)
+    """The submap's frame (sensor frame of its middle scan) in the session's odometry frame."""
     position_m: tuple[float, float, float]
-    stamp_ns: int
-    first_seq: int | None
-    last_seq: int | None
-    scan_count: int
-    point_count: int
-    raw_bytes: int
-    neural_map_bytes: int | None
-    flags: tuple[str, ...]
-    model_version: str | None
-    operation: str
+    """Where it was taken, in the session's odometry frame."""
+    stamp_ns: int = 0
+    first_seq: int | None = None
+    """The scans it was cut from, absent for a posted cloud."""
+    last_seq: int | None = None
+    scan_count: int = 0
+    point_count: int = 0
+    raw_bytes: int = 0
+    """Size of the cloud as float32 xyz."""
+    neural_map_bytes: int | None = None
+    """Size of its neural map, once described."""
+    flags: tuple[str, ...] = ()
+    model_version: str | None = None
+    failure: Failure | None = None
+    operation: str = ""
+    """operations/{operation}"""
+    created_at_ns: int = 0
     descriptor: tuple[float, ...] = field(default=(), metadata=read_by(lambda message: tuple(message.place_descriptor)))
+    """The place descriptor, a unit vector of model_version; only where the view FULL was asked for, once described."""
     seq: int = 0
-    in_map: MapPose | None = field(default=None, compare=False, metadata=read_by(_in_map("t_map_submap")))
+    """Grows with every submap of the service, in the order in which they were stored: what min_seq of a query takes."""
+    in_map: MapPose | None = field(default=None, compare=False, metadata=read_by(in_map("t_map_submap")))
+    """The pose in a frame of the map; None while no version of the map has the session."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class SearchHit(Resource):
-    """A submap and its cosine similarity to the query; `in_map` is T_map_submap where its session has a frame."""
+    """A submap and its cosine similarity to the query."""
 
-    submap: str
-    similarity: float
+    submap: str = ""
+    similarity: float = 0.0
     position_m: tuple[float, float, float]
-    in_map: MapPose | None = field(default=None, compare=False, metadata=read_by(_in_map("t_map_submap")))
+    in_map: MapPose | None = field(default=None, compare=False, metadata=read_by(in_map("t_map_submap")))
+    """The pose in a frame of the map; None while no version of the map has the session."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Candidate(Resource):
-    """A submap that was compared with a cloud: accepted with a transform, or rejected for a reason."""
+    """One submap that was compared with the cloud."""
 
-    submap: str
-    accepted: bool
-    reason: str | None
-    similarity: float
-    score: float
-    T_match_query: Matrix4 | None = field(compare=False)
+    submap: str = ""
+    accepted: bool = False
+    reason: str | None = None
+    similarity: float = 0.0
+    score: float = 0.0
+    T_match_query: Matrix4 | None = field(default=None, compare=False)
     evidence: Json
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Localization(Resource):
-    """The best verified candidate, None where the place is unknown, and all that were compared.
+    """The best verified candidate, and all that were compared with the cloud."""
 
-    `T_odom_query` (4, 4) is the cloud's pose in the odometry frame of `session`, the session of the best candidate;
-    `in_map` is T_map_query where that session has a frame. `on_other_storeys` submaps were not compared, as their
-    sessions are on another storey than was said.
-    """
-
-    best: Candidate | None
-    T_odom_query: Matrix4 | None = field(compare=False)
-    session: str | None
-    candidates: tuple[Candidate, ...]
-    in_map: MapPose | None = field(default=None, compare=False, metadata=read_by(_in_map("t_map_query")))
+    best: Candidate | None = None
+    """The best verified candidate, absent where the place is unknown."""
+    candidates: tuple[Candidate, ...] = ()
+    T_odom_query: Matrix4 | None = field(default=None, compare=False)
+    """The cloud's pose in the odometry frame of `session`; absent where the place is unknown."""
+    session: str | None = None
+    """The session of the best candidate, maps/{map}/sessions/{session}; empty where the place is unknown."""
+    in_map: MapPose | None = field(default=None, compare=False, metadata=read_by(in_map("t_map_query")))
+    """The pose in a frame of the map; None while no version of the map has the session."""
     on_other_storeys: int = 0
+    """How many submaps of the map's index could not be compared, as their sessions are on another storey."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class LoopClosure(Resource):
-    """A pair of submaps that look alike, with the verdict; `T_match_query` maps query-frame points to match-frame."""
+    """A pair of submaps that look alike, with the verdict."""
 
-    name: str
-    number: int
-    query: str
-    match: str
-    state: str
-    reason: str | None
-    similarity: float
-    score: float
-    T_match_query: Matrix4 | None = field(compare=False)
+    name: str = ""
+    """maps/{map}/loopClosures/{loop_closure}"""
+    number: int = 0
+    """Grows with every closure of the service: orders them and resumes a watch."""
+    query: str = ""
+    """The submap that asked."""
+    match: str = ""
+    """The submap that was found."""
+    state: str = ""
+    """ACCEPTED, REJECTED or PROPOSED."""
+    reason: str | None = None
+    """Which gate rejected it; empty where accepted."""
+    similarity: float = 0.0
+    score: float = 0.0
+    T_match_query: Matrix4 | None = field(default=None, compare=False)
+    """Maps points of the query submap's frame into the match submap's frame; absent where no alignment existed."""
     evidence: Json
-    created_at_ns: int
+    """Similarity, inliers, overlap, residual, covariance, thresholds and model versions."""
+    created_at_ns: int = 0
     graph_state: str | None = None
-    manual: bool = False
-    in_map: MapPose | None = field(default=None, compare=False, metadata=read_by(_in_map("t_map_query")))
+    """The verdict of the pose graph, as of map_version; unspecified where no version of the map knows the loop. IN_MAP,
+    SET_ASIDE or UNCONNECTED.
+    """
+    in_map: MapPose | None = field(default=None, compare=False, metadata=read_by(in_map("t_map_query")))
+    """The pose in a frame of the map; None while no version of the map has the session."""
     T_map_match: Matrix4 | None = field(default=None, compare=False)
+    manual: bool = False
+    """Whether a person made it, and not the service."""
 
 
-@dataclass(frozen=True)
-class KeypointPlan(Resource):
-    """The keypoints (n, 2) of a submap, metres in its upright frame; T_submap_level (4, 4) is where that lies."""
-
-    submap: str
-    T_submap_level: Matrix4 = field(compare=False)
-    keypoints: NDArray[np.float64] = field(
-        compare=False, metadata=read_by(lambda plan: np.stack([plan.x, plan.y], axis=1))
-    )
-
-
-@dataclass(frozen=True)
-class LoopKeypoints(Resource):
-    """The compared keypoints of a loop closure: both submaps from above.
-
-    pairs (p, 2): rows of the keypoints of query and match that look alike, the most alike first; agrees (p,): whether
-    the pose of the loop closure brings them together.
-    """
-
-    query: KeypointPlan
-    match: KeypointPlan
-    pairs: NDArray[np.int64] = field(compare=False, metadata=read_by(_pairs))
-    agrees: NDArray[np.bool_] = field(compare=False, metadata=read_by(_agreements))
-
-
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class LoopClosureEvent(Resource):
-    """A change of a loop closure: its new state, the actor and the reason.
+    """A change of a loop closure. The last event has its present state."""
 
-    `details` holds thresholds and model version of a verdict, or the squared distance from the poses of a version.
-    """
-
-    number: int
-    kind: str
-    state: str
-    reason: str | None
-    graph_state: str | None
-    T_match_query: Matrix4 | None = field(compare=False)
-    actor: str
-    note: str
-    map_version: int | None
+    number: int = 0
+    """Grows with every event of the service."""
+    kind: str = ""
+    """VERIFIED, PROPOSED, ACCEPTED, REJECTED, REVERTED or JUDGED."""
+    state: str = ""
+    """The state from then on, and in the next three fields. ACCEPTED, REJECTED or PROPOSED."""
+    reason: str | None = None
+    graph_state: str | None = None
+    """IN_MAP, SET_ASIDE or UNCONNECTED."""
+    T_match_query: Matrix4 | None = field(default=None, compare=False)
+    actor: str = ""
+    """Who: the caller, or "service"."""
+    note: str = ""
+    """Why, in the words of the caller."""
+    map_version: int | None = None
+    """The version of the map that gave the verdict of the pose graph; 0 for others."""
     details: Json
-    at_ns: int
+    """Thresholds and model version of a verdict; the squared distance from the poses of a version."""
+    at_ns: int = 0
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class MapChange(Resource):
-    """Something that one day has and the other has not: `kind` VANISHED or APPEARED.
+    """Something that one day has and the other has not: a box along the axes of the map's frame around its points."""
 
-    A box along the axes of the map's frame: centre and extent (3,) in metres, around so many neural `points`.
-    """
-
-    kind: str
+    kind: str = ""
+    """VANISHED or APPEARED."""
     centre_m: tuple[float, float, float]
+    """Metres."""
     extent_m: tuple[float, float, float]
-    points: int
+    points: int = 0
+    """Neural points in it."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class MapMerge(Resource):
-    """A merge into a map: `source` was copied as `sessions`, version `version_before` became `version`.
+    """A merge into a map."""
 
-    `report` has alignment and evidence; `changes` are vanished and new things since the map was made;
-    `reverted_at_ns` is there once it was taken back.
-    """
-
-    name: str
-    source: str
-    version_before: int
-    version: int
-    sessions: tuple[str, ...]
-    report: dict[str, Any] = field(compare=False)
-    changes: tuple[MapChange, ...]
-    created_at_ns: int
-    reverted_at_ns: int | None
-
-
-@dataclass(frozen=True)
-class MapVersion(Resource):
-    """A version of a map's poses. `summary` is its evidence; `restored_from` is None where it was optimised."""
-
-    name: str
-    version: int
-    in_force: bool
-    restored_from: int | None
-    content_hash: str
-    operation: str | None
-    summary: MapVersionSummary
-    created_at_ns: int
+    name: str = ""
+    """maps/{map}/merges/{merge}"""
+    source: str = ""
+    """What was copied, by resource name; it may have been deleted since."""
+    version_before: int = 0
+    """The version in force before, 0 for none. It is kept while the merge is."""
+    version: int = 0
+    """The version that the merge made."""
+    sessions: tuple[str, ...] = ()
+    """The copies, maps/{map}/sessions/{session}."""
+    report: Json = field(compare=False)
+    """Alignment, evidence and limits, as the operation told them."""
+    changes: tuple[MapChange, ...] = ()
+    """What vanished since the map was made, and what appeared."""
+    created_at_ns: int = 0
+    reverted_at_ns: int | None = None
+    """When it was taken back."""
 
 
-@dataclass(frozen=True)
-class MapTile(Resource):
-    """A square of a version of a map, in metres of the frame seen from above; `submaps` may reach into it.
-
-    One that was `made` can be downloaded at once; others are made by a worker then.
-    """
-
-    name: str
-    frame: str
-    min_m: tuple[float, float] = field(metadata=read_by(lambda message: (message.min_x_m, message.min_y_m)))
-    max_m: tuple[float, float] = field(metadata=read_by(lambda message: (message.max_x_m, message.max_y_m)))
-    submaps: int
-    made: bool
-
-
-@dataclass(frozen=True)
-class MapDistances(Resource):
-    """Signed distances (n,) of points to the surface of a map, metres, positive in free space, cut at a truncation.
-
-    `nearest_m` (n,) says how far the nearest neural point is. Both are NaN where nothing was seen near.
-    """
-
-    map_version: int
-    frame: str
-    distance_m: NDArray[np.float64] = field(compare=False, metadata=read_by(_distances("distance_m")))
-    nearest_m: NDArray[np.float64] = field(compare=False, metadata=read_by(_distances("nearest_m")))
-
-
-@dataclass(frozen=True)
-class MapPoints(Resource):
-    """Points (n, 3) of the surface of a map around one, with unit normals (n, 3), the nearest first; `total` in all."""
-
-    map_version: int
-    frame: str
-    positions: NDArray[np.float64] = field(compare=False, metadata=read_by(_rows("position_m")))
-    normals: NDArray[np.float64] = field(compare=False, metadata=read_by(_rows("normal")))
-    total: int
-
-
-@dataclass(frozen=True)
-class MapFile(Resource):
-    """A version of a map as one file, in the words of VDA 5050; `map_status` is ENABLED or DISABLED."""
-
-    name: str
-    map_id: str
-    map_version: str
-    map_status: str
-    map_descriptor: str
-    map_download_link: str
-    map_hash: str
-    size_bytes: int
-    submaps: int
-    created_at_ns: int
-
-
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class RefusedJoin(Resource):
-    """Sessions, by name on both sides, that `loops` would join and their surfaces keep apart.
-
-    reason: OVERLAP_TOO_SMALL, SURFACES_DISAGREE or FREE_SPACE_VIOLATED; residual_m, median distance of the common
-    points from the other surface, metres, None without any; seen_through_share of the points, 0 to 1, stand where the
-    other side looked through.
+    """Sessions that loops would join, kept apart because their surfaces contradict it. The loops between them are set
+    aside.
     """
 
-    sessions: tuple[str, ...]
-    other_sessions: tuple[str, ...]
-    reason: str
-    loops: int
-    common_points: int
-    residual_m: float | None
-    seen_through_share: float
+    sessions: tuple[str, ...] = ()
+    """maps/{map}/sessions/{session}, of one side."""
+    other_sessions: tuple[str, ...] = ()
+    """Of the other side."""
+    reason: str = ""
+    """OVERLAP_TOO_SMALL, SURFACES_DISAGREE or FREE_SPACE_VIOLATED, as of a merge."""
+    loops: int = 0
+    """Accepted loops between the two sides."""
+    common_points: int = 0
+    """Points of either side near points of the other."""
+    residual_m: float | None = None
+    """Median distance of these points from the other surface, metres; absent without any."""
+    seen_through_share: float = 0.0
+    """Share of the points, 0 to 1, that stand where the other side looked through."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class MapVersionSummary(Resource):
-    """The evidence of a version of a map.
+    """What a version of a map rests on."""
 
-    `frames` counts the groups of sessions that loops join; chi2 is to be compared with `degrees_of_freedom`; changes
-    are how far submaps lie from where the version before had them, metres, None where none can be compared;
-    `refused_joins` are sessions that surfaces kept apart.
-    """
-
-    sessions: int
-    submaps: int
-    frames: int
-    loops_in_map: int
-    loops_set_aside: int
-    loops_unconnected: int
-    chi2: float
-    degrees_of_freedom: int
-    mean_change_m: float | None
-    max_change_m: float | None
+    sessions: int = 0
+    submaps: int = 0
+    frames: int = 0
+    """Groups of sessions that loops join; each has a frame of its own."""
+    loops_in_map: int = 0
+    loops_set_aside: int = 0
+    loops_unconnected: int = 0
+    """Loops between sessions that share no frame."""
+    chi2: float = 0.0
+    """Squared errors of all steps of odometry and of the loops in the map, each by its covariance."""
+    degrees_of_freedom: int = 0
+    """What chi2 is to be compared with."""
+    mean_change_m: float | None = None
+    """How far submaps lie from where the version before had them, metres; absent where no submap can be compared."""
+    max_change_m: float | None = None
     refused_joins: tuple[RefusedJoin, ...] = ()
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
+class MapVersion(Resource):
+    """A version of a map: the poses of its submaps at one time. It never changes."""
+
+    name: str = ""
+    """maps/{map}/versions/{version}"""
+    version: int = 0
+    """Grows with every version of the map, from 1."""
+    in_force: bool = False
+    """The version that answers rest on: the newest one."""
+    restored_from: int | None = None
+    """The version whose poses were brought back, 0 where they were optimised."""
+    content_hash: str = ""
+    """SHA-256 (hex) of the poses and verdicts: the same poses have the same hash."""
+    operation: str | None = None
+    """The operation that made it, operations/{operation}; empty where an earlier version was brought back."""
+    created_at_ns: int = 0
+    summary: MapVersionSummary
+
+
+@dataclass(frozen=True, kw_only=True)
 class SubmapPose(Resource):
-    """Where a submap lies in a frame of the map; covariance (6, 6) of (x, y, z, rx, ry, rz) in the submap's frame.
+    """Where a submap lies in the map."""
 
-    The covariance is NaN where the graph does not tell it.
-    """
-
-    submap: str
+    submap: str = ""
+    """maps/{map}/sessions/{session}/submaps/{submap}"""
     T_map_submap: Matrix4 = field(compare=False)
-    frame: str
+    frame: str = ""
+    """The frame that the pose is in: poses of different frames have nothing to do with each other."""
     covariance: Matrix4 = field(compare=False, metadata=read_by(covariance_of))
+    """(6, 6) of (x, y, z, rx, ry, rz), metres and radians; NaN where the graph does not tell it."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Correction(Resource):
-    """Where the odometry frame of a session lies in the map: T_map_odom @ T_odom_sensor is a sensor's pose in the map.
-
-    Poses of the same `frame` are in one map. `covariance` (6, 6) of (x, y, z, rx, ry, rz) in the frame of the last
-    submap that the version `map_version` has. `early_loops` is not 0 where loops that came after that version have
-    moved the session already: then it is provisional, until the next version.
+    """Where the odometry frame of a session lies in the map: T_map_odom * T_odom_sensor is the pose of a sensor in the
+    map.
     """
 
-    session: str
+    session: str = ""
+    """maps/{map}/sessions/{session}"""
     T_map_odom: Matrix4 = field(compare=False)
-    frame: str
-    map_version: int
+    """As of the last submap of the session that the version has."""
+    frame: str = ""
+    """The frame of the map that the correction leads to. Sessions with the same frame are in one map."""
+    map_version: int = 0
     covariance: Matrix4 = field(compare=False, metadata=read_by(covariance_of))
-    created_at_ns: int
+    """(6, 6) of (x, y, z, rx, ry, rz), metres and radians; NaN where the graph does not tell it."""
+    created_at_ns: int = 0
+    """When the version was made, or the correction ahead of the next one."""
     early_loops: int = 0
-
-
-@dataclass(frozen=True)
-class Event(Resource):
-    """Something that happened in a map: `kind` LOOP_CLOSURE, OPERATION or MAP_VERSION, with it as it stands by now.
-
-    FORGOTTEN: earlier events were asked for and are no longer kept; list the resources of interest again.
+    """Not 0 where loops that came after the version have moved the session already: how many of the map were asked one
+    by one. The correction is then provisional, and as of the last submap of all; the next version replaces it.
     """
 
-    number: int
-    kind: str
-    map: str
+
+@dataclass(frozen=True, kw_only=True)
+class MapFile(Resource):
+    """A version of a map as one file."""
+
+    name: str = ""
+    """maps/{map}/files/{version}"""
+    map_id: str = ""
+    """The id of the map."""
+    map_version: str = ""
+    """The number of the version, as text."""
+    map_status: str = ""
+    """ENABLED or DISABLED."""
+    map_descriptor: str = ""
+    """What the map is, in an operator's words."""
+    map_download_link: str = ""
+    """Where it can be downloaded with HTTP, in ranges, too: a path of the REST API of this service."""
+    map_hash: str = ""
+    """SHA-256 (hex) of the file."""
+    size_bytes: int = 0
+    submaps: int = 0
+    created_at_ns: int = 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Event(Resource):
+    """Something that became true in a map. It holds its resource as that stands when the event is told."""
+
+    number: int = 0
+    """Grows with every event of the service; a watch after it goes on behind it."""
+    kind: str = ""
+    """LOOP_CLOSURE, OPERATION, OPENED, MAP_VERSION or FORGOTTEN."""
+    map: str = ""
+    """maps/{map}; empty where it concerns every map."""
     loop_closure: LoopClosure | None = None
     operation: Operation | None = None
     map_version: MapVersion | None = None
 
 
-@dataclass(frozen=True)
-class Webhook(Resource):
-    """Where events are sent; `secret` is there in the answer that created it, and nowhere else.
-
-    `told` is the number of the last event that was dealt with, `failures` counts attempts in vain since then; `state`
-    ENABLED or SUSPENDED.
-    """
-
-    name: str
-    url: str
-    map: str | None
-    kinds: tuple[str, ...]
-    state: str
-    told: int
-    failures: int
-    secret: str = field(default="", compare=False, repr=False, metadata=read_by(lambda _message: ""))
-
-
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class WebhookDelivery(Resource):
-    """One attempt to deliver events: the HTTP status of the answer, or None and the `error`."""
+    """One attempt to deliver."""
 
-    first_event: int
-    last_event: int
-    events: int
-    attempt: int
-    status: int | None
-    error: str | None
-    took_ms: int
-    at_ns: int
-
-
-@dataclass(frozen=True)
-class Status(Resource):
-    """The state of the service."""
-
-    version: str
-    model_version: str | None
-    queued_jobs: int
-    running_jobs: int
-    failed_jobs: int
-    indexed_submaps: int
-    workers: tuple[str, ...] = field(
-        metadata=read_by(lambda message: tuple(worker.worker_id for worker in message.workers))
-    )
+    first_event: int = 0
+    """The numbers of the first and the last event of the request, and how many it held."""
+    last_event: int = 0
+    events: int = 0
+    attempt: int = 0
+    """1 for the first attempt."""
+    status: int | None = None
+    """The HTTP status that the receiver answered with; 0 where there was no answer."""
+    error: str | None = None
+    """Why there was no answer."""
+    took_ms: int = 0
+    at_ns: int = 0

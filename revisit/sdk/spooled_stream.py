@@ -11,7 +11,7 @@ from revisit.core.errors import RevisitError
 from revisit.sdk.clouds import PointsLike, encoded
 from revisit.sdk.errors import ApiError
 from revisit.sdk.input_watch import InputWatch
-from revisit.sdk.resources import pose_json
+from revisit.sdk.messages import pose_json
 from revisit.sdk.retry import RetryPolicy
 from revisit.sdk.spool import DeadLetter, Spool, SpoolState
 from revisit.sdk.transport import Refusal, ScanSink, Transport

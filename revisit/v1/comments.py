@@ -178,6 +178,7 @@ COMMENTS = {
     'revisit.v1.LocalizeRequest.radius_m': 'Above 0 to 1e6 metres.',
     'revisit.v1.LocalizeRequest.storey': 'The storey that the cloud was taken on; submaps of sessions on another one are not compared. At most 64 characters; empty where it is unknown.',
     'revisit.v1.LocalizeRequest.t_level_query': "The cloud's pose in a frame whose z points up, of which the rotation counts; absent takes the vertical of the cloud's own surfaces, within 40 degrees of its z, and z where these do not tell it.",
+    'revisit.v1.LocalizeResponse': 'The best verified candidate, and all that were compared with the cloud.',
     'revisit.v1.LocalizeResponse.best': 'The best verified candidate, absent where the place is unknown.',
     'revisit.v1.LocalizeResponse.on_other_storeys': "How many submaps of the map's index could not be compared, as their sessions are on another storey.",
     'revisit.v1.LocalizeResponse.session': 'The session of the best candidate, maps/{map}/sessions/{session}; empty where the place is unknown.',

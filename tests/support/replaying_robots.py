@@ -15,7 +15,7 @@ import numpy as np
 
 from revisit.sdk.credentials import Credentials
 from revisit.sdk.grpc_transport import GrpcTransport
-from revisit.sdk.resources import pose_json
+from revisit.sdk.messages import pose_json
 from revisit.sdk.rest_transport import RestTransport
 from revisit.sdk.retry import RetryPolicy
 from revisit.sdk.transport import Forgetful

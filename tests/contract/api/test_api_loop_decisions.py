@@ -169,27 +169,29 @@ def test_near_misses_are_explained_by_the_gate_that_stopped_them(client, session
     assert {miss.submap: miss.gate for miss in client.explain(c)} == {a: "OVERRULED", b: "TOO_NEAR"}
 
 
+MATCH = SearchHit(submap="match", similarity=0.9, position_m=(0.0, 0.0, 0.0))
+
+
 def test_what_would_have_passed_a_gate_is_the_value_that_was_measured():
     measured = {"score": 0.41, "overlap": 0.3}
     evidence = {"measurement": measured, "thresholds": {"min_score": 0.5}}
-    shape = {"T_match_query": None, "evidence": evidence, "created_at_ns": 1}
-    loop = LoopClosure("loop", 1, "query", "match", "REJECTED", "LOW_SCORE", 0.9, 0.41, **shape)
-    miss = explanations._rejected(SearchHit("match", 0.9, (0.0, 0.0, 0.0)), loop)
+    loop = LoopClosure(query="query", match="match", reason="LOW_SCORE", score=0.41, evidence=evidence)
+    miss = explanations._rejected(MATCH, loop)
     assert (miss.gate, miss.measured, miss.threshold, miss.remedy) == ("LOW_SCORE", 0.41, 0.5, "min_score = 0.41")
     aside = {"common_share": 0.12, "enough_share": 0.35}
     apart = replace(loop, reason="NO_COMMON_REGION", evidence={**evidence, "measurement": {**measured, **aside}})
-    miss = explanations._rejected(SearchHit("match", 0.9, (0.0, 0.0, 0.0)), apart)
+    miss = explanations._rejected(MATCH, apart)
     assert (miss.measured, miss.threshold, miss.remedy) == (0.12, 0.35, "no setting passes it")
     tilted = replace(loop, reason="IMPLAUSIBLE_TILT")
-    miss = explanations._rejected(SearchHit("match", 0.9, (0.0, 0.0, 0.0)), tilted)
+    miss = explanations._rejected(MATCH, tilted)
     assert (miss.measured, miss.rule, miss.remedy) == (None, None, "no setting passes it")
 
 
 @pytest.mark.parametrize(("rank", "gate"), [(20, "KNOWN_ALREADY"), (21, "NOT_VERIFIED")])
 def test_a_similar_submap_that_was_not_compared_beside_accepted_loops_was_known_already(rank, gate):
-    accepted = LoopClosure("loop", 1, "query", "match", "ACCEPTED", None, 0.9, 0.9, np.eye(4), {}, created_at_ns=1)
+    accepted = LoopClosure(query="query", match="match", state="ACCEPTED", score=0.9, evidence={})
     map_ = SimpleNamespace(loop_policy=SimpleNamespace(candidates=20))
-    hit = SearchHit("maps/m/sessions/t/submaps/b", 0.9, (0, 0, 0))
+    hit = replace(MATCH, submap="maps/m/sessions/t/submaps/b")
     assert explanations._near_miss(None, map_, rank, hit, {"match": accepted}).gate == gate
     assert explanations._near_miss(None, map_, rank, hit, {}).gate == "NOT_VERIFIED"
 

@@ -40,17 +40,18 @@ def types(store):
 
 
 def submap(name: str, x: float, stamp_ns: int, state: str = "DESCRIBED") -> Submap:
+    pose = se3.from_yaw(0.0, (x, 0.0, 0.0))
     return Submap(
-        f"maps/m/sessions/{name}", state, 0, se3.from_yaw(0.0, (x, 0.0, 0.0)), (x, 0.0, 0.0), stamp_ns, None, None, 1,
-        1, 1, None, (), None, "",
-    )  # fmt: skip
+        name=f"maps/m/sessions/{name}", state=state, T_odom_submap=pose, position_m=(x, 0.0, 0.0), stamp_ns=stamp_ns
+    )
 
 
 def loop(number: int = 1, evidence: dict | None = None) -> Loop:
     query, match = submap("tue/submaps/9", 30.0, 90 * SECOND), submap("mon/submaps/2", 4.0, 7 * SECOND + 5)
     closure = LoopClosure(
-        f"maps/m/loopClosures/{number}", number, query.name, match.name, "ACCEPTED", None, 0.8, 0.93, STEP,
-        {"measurement": {"covariance": COVARIANCE.tolist()}} if evidence is None else evidence, 0,
+        name=f"maps/m/loopClosures/{number}", number=number, query=query.name, match=match.name, state="ACCEPTED",
+        similarity=0.8, score=0.93, T_match_query=STEP,
+        evidence={"measurement": {"covariance": COVARIANCE.tolist()}} if evidence is None else evidence,
     )  # fmt: skip
     return Loop(closure, query, match)
 

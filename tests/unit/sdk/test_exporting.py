@@ -25,14 +25,14 @@ T_MONDAY_TUESDAY = se3.from_yaw(1.0, (30.0, -20.0, 1.0))
 
 def a_submap(session, number, pose):
     name = f"maps/town/sessions/{session}/submaps/{number}"
-    return Submap(
-        name, "DESCRIBED", number, pose, (0.0, 0.0, 0.0), number, None, None, 1, 100, 1200, None, (), "m", "o"
-    )
+    return Submap(name=name, ordinal=number, T_odom_submap=pose, position_m=(0.0, 0.0, 0.0), stamp_ns=number)
 
 
 def a_loop(match, query, T_match_query, evidence):
     name = f"{match.name}-{query.name}"
-    return LoopClosure(name, 1, query.name, match.name, "ACCEPTED", None, 0.9, 0.9, T_match_query, evidence, 0)
+    return LoopClosure(
+        name=name, query=query.name, match=match.name, state="ACCEPTED", T_match_query=T_match_query, evidence=evidence
+    )
 
 
 def two_days(wrong=(), evidence=None):
