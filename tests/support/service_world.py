@@ -58,6 +58,12 @@ class World:
     tiler: TileMaker = field(default_factory=FakeTiler)
     home: Path | None = None
 
+    def another_gateway(self) -> World:
+        """The world with a second gateway in place of this one, over the same store."""
+        here = self.context
+        own = ServiceContext(here.transactions, here.blobs, MemoryVectorIndex(), here.clock, here.policy)
+        return replace(self, context=own, use_cases=UseCases.over(own, "test"))
+
     def worker(self, recogniser: PlaceRecogniser | None = None) -> JobRunner:
         """Another worker's jobs, with an index of its own."""
         own = replace(self.context, index=MemoryVectorIndex())

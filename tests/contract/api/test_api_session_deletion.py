@@ -105,7 +105,7 @@ def test_a_silent_stream_of_what_is_deleted_ends_and_others_go_on(client, sessio
 
 
 def test_a_silent_stream_ends_though_another_gateway_deleted_its_session(client, session, service):
-    with live_service(service.world) as second:
+    with live_service(service.world.another_gateway()) as second:
         silent = Silent(second, session)
         client.delete(session)
         with pytest.raises(grpc.RpcError) as ended:

@@ -356,7 +356,7 @@ def test_a_service_nobody_answers_for_is_reported_as_unreachable():
 
 
 def test_the_newest_stream_holds_over_two_gateways_of_one_store(service, raw, session):
-    with live_service(service.world) as second, grpc.insecure_channel(second.grpc) as channel:
+    with live_service(service.world.another_gateway()) as second, grpc.insecure_channel(second.grpc) as channel:
         older = opened(raw, session)
         assert older.say(scan=scan_message(1)).hear().ack.committed_seq == 1
         newer = opened(ingest_pb2_grpc.IngestServiceStub(channel), session)
