@@ -16,17 +16,18 @@ import structlog
 import uvicorn
 from prometheus_client import ProcessCollector
 
+from revisit.service import VERSION
 from revisit.service.composition import build_context, build_tracer, build_use_cases, chores
 from revisit.service.context import ServiceContext
 from revisit.service.engines.local.files.disk import FailStop
 from revisit.service.engines.local.sqlite.migration import migrate
 from revisit.service.features.upkeep.chores import Upkeep
 from revisit.service.large_blocks import return_large_blocks
-from revisit.service.metrics import LoadMetrics, MetricsServer, RequestMetrics, StoreMetrics
+from revisit.service.metrics import GatewayMetrics, LoadMetrics, MetricsServer, RequestMetrics, StoreMetrics
 from revisit.service.open_files import allow_open_files
 from revisit.service.settings import Settings
 from revisit.service.supervised import READY, STOPPING, tell_supervisor
-from revisit.service.tls import grpc_credentials, http_context
+from revisit.service.tls import expiry_s, grpc_credentials, http_context
 from revisit.service.use_cases import UseCases
 from revisit.service.worker.exit_status import STORAGE_FAILED
 from revisit.service.worker.metrics import WorkerMetrics
@@ -172,11 +173,13 @@ class _Gateway:
         return stop
 
     def _metrics_server(self, context: ServiceContext) -> MetricsServer | None:
-        """`/metrics` on a port of its own, on loopback, where the settings ask for it."""
+        """`/metrics` on a port of its own, where the settings ask for it."""
         port = self._settings.metrics_port
         if port is None:
             return None
-        server = MetricsServer(self._requests, StoreMetrics(context), port)
+        host, names = self._settings.metrics_host, self._settings.host_names
+        gateway = GatewayMetrics(VERSION, context.clock, expiry_s(self._settings))
+        server = MetricsServer(self._requests, (StoreMetrics(context), gateway), port, host, names)
         log.info("metrics_listening", port=server.port)
         return server
 

@@ -21,8 +21,9 @@ from revisit.service.features.upkeep.retention import ANSWERS_KEPT_S, EVENTS_KEP
 
 GROUPS: Mapping[str, tuple[str, ...]] = {
     "Addresses and access": (
-        "host", "http_port", "grpc_port", "metrics_port", "allowed_hosts", "insecure_bind", "authentication",
-        "tls_certificate", "tls_key", "client_ca", "client_certificates", "jwt", "secret", "webhook_private_networks",
+        "host", "http_port", "grpc_port", "metrics_port", "metrics_host", "allowed_hosts", "insecure_bind",
+        "authentication", "tls_certificate", "tls_key", "client_ca", "client_certificates", "jwt", "secret",
+        "webhook_private_networks",
     ),
     "Resources and limits": (
         "home", "workers", "worker_memory_mb", "job_timeout_s", "max_queued_jobs", "tenant_storage_mb",
@@ -96,7 +97,12 @@ class Settings(AccessSettings):
     http_port: int = Field(default=8080, ge=0, le=65535, description="REST port; 0 takes a free one")
     grpc_port: int = Field(default=8090, ge=0, le=65535, description="gRPC port; 0 takes a free one")
     metrics_port: int | None = Field(
-        default=None, ge=0, le=65535, description="port of /metrics on 127.0.0.1; unset for none, 0 takes a free one"
+        default=None, ge=0, le=65535, description="port of /metrics; unset for none, 0 takes a free one"
+    )
+    metrics_host: str = Field(
+        default="127.0.0.1",
+        description="address of /metrics, which asks for no credential: another than 127.0.0.1 belongs into a network "
+        "that only Prometheus reaches",
     )
     allowed_hosts: str = Field(
         default="",

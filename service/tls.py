@@ -30,3 +30,12 @@ def grpc_credentials(settings: AccessSettings) -> grpc.ServerCredentials | None:
     authorities = None if settings.client_ca is None else settings.client_ca.read_bytes()
     pair = (settings.tls_key.read_bytes(), settings.tls_certificate.read_bytes())
     return grpc.ssl_server_credentials([pair], authorities, require_client_auth=authorities is not None)
+
+
+def expiry_s(settings: AccessSettings) -> float | None:
+    """When the certificate of both servers expires, seconds since 1970; None without one. Raises ValueError."""
+    if settings.tls_certificate is None:
+        return None
+    from cryptography import x509
+
+    return x509.load_pem_x509_certificate(settings.tls_certificate.read_bytes()).not_valid_after_utc.timestamp()

@@ -28,11 +28,10 @@ from revisit.service.domain.callers import current_actor, current_tenant
 from revisit.service.domain.errors import DeadlineExceeded
 from revisit.service.grpc.access import Gate, call_of
 from revisit.service.grpc.public_calls import PublicCalls
-from revisit.service.grpc.tracing import OWN_METHODS, REQUEST_ID
+from revisit.service.grpc.tracing import OWN_METHODS, REQUEST_ID, STATUS_DETAILS
 from revisit.service.ports.tracing import current_request
 from revisit.service.status import ERROR_DOMAIN, STATUS, retry_after_s
 
-STATUS_DETAILS = "grpc-status-details-bin"
 MAX_MESSAGE_CHARACTERS = 800
 
 MESSAGE_S = 120.0

@@ -1,19 +1,19 @@
-"""How long unary calls take; a stream's length says nothing and is not measured."""
+"""How long unary calls take, and why calls are refused; a stream's length says nothing and is not measured."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Awaitable, Callable
+from collections.abc import AsyncIterator, Awaitable, Callable
 from typing import Any
 
 import grpc
 
-from revisit.service.grpc.tracing import status_of
+from revisit.service.grpc.tracing import reason_of, status_of
 from revisit.service.metrics import RequestMetrics
 
 
 class CallTimer(grpc.aio.ServerInterceptor):  # type: ignore[type-arg]  # not generic at run time
-    """Measures each unary call under its method and status, from its head to its answer."""
+    """Measures each unary call under its method and status, from its head to its answer; counts refusals of all."""
 
     def __init__(self, requests: RequestMetrics) -> None:
         """Counts into `requests`."""
@@ -24,11 +24,22 @@ class CallTimer(grpc.aio.ServerInterceptor):  # type: ignore[type-arg]  # not ge
         continuation: Callable[[grpc.HandlerCallDetails], Awaitable[Any]],
         handler_call_details: grpc.HandlerCallDetails,
     ) -> Any:
-        """The handler of the call, wrapped where it is unary. Unknown methods have none and are not counted."""
+        """The handler of the call, wrapped. Unknown methods have none and are not counted."""
         handler = await continuation(handler_call_details)
-        if handler is None or handler.response_streaming:
-            return handler
+        if handler is None:
+            return None
         method = str(handler_call_details.method)
+        parts = (handler.request_deserializer, handler.response_serializer)
+        if handler.response_streaming:
+
+            async def watched(requests: Any, context: Any) -> AsyncIterator[Any]:
+                try:
+                    async for response in handler.stream_stream(requests, context):
+                        yield response
+                finally:
+                    self._count_refusal(context)
+
+            return grpc.stream_stream_rpc_method_handler(watched, *parts)
 
         async def timed(requests: Any, context: Any) -> Any:
             began_s = time.perf_counter()
@@ -36,5 +47,11 @@ class CallTimer(grpc.aio.ServerInterceptor):  # type: ignore[type-arg]  # not ge
                 return await handler.stream_unary(requests, context)
             finally:
                 self._requests.observe("grpc", method, status_of(context), time.perf_counter() - began_s)
+                self._count_refusal(context)
 
-        return grpc.stream_unary_rpc_method_handler(timed, handler.request_deserializer, handler.response_serializer)
+        return grpc.stream_unary_rpc_method_handler(timed, *parts)
+
+    def _count_refusal(self, context: Any) -> None:
+        reason = reason_of(context)
+        if reason is not None:
+            self._requests.refuse("grpc", reason)

@@ -11,7 +11,9 @@ from typing import Any
 
 import grpc
 import structlog
+from google.rpc import error_details_pb2, status_pb2  # type: ignore[import-untyped]  # ships no types
 
+from revisit.core.errors import ErrorCode
 from revisit.service.ports.tracing import (
     RequestContext,
     Role,
@@ -21,6 +23,7 @@ from revisit.service.ports.tracing import (
 )
 
 REQUEST_ID = "x-request-id"
+STATUS_DETAILS = "grpc-status-details-bin"
 
 OWN_METHODS = "/revisit."
 _REQUEST_ID = re.compile(r"[A-Za-z0-9._-]{1,64}", re.ASCII)
@@ -90,6 +93,16 @@ class CallTracing(grpc.aio.ServerInterceptor):  # type: ignore[type-arg]  # not 
 def status_of(context: Any) -> str:
     """The name of the status that a call has got; OK where none was set."""
     return grpc.StatusCode(context.code()).name if context.code() else "OK"
+
+
+def reason_of(context: Any) -> ErrorCode | None:
+    """Why a call was refused; None for one that was not."""
+    details = dict(context.trailing_metadata() or ()).get(STATUS_DETAILS)
+    if details is None:
+        return None
+    info = error_details_pb2.ErrorInfo()
+    status_pb2.Status.FromString(details).details[0].Unpack(info)
+    return ErrorCode(info.reason)
 
 
 def _request_id(sent: object) -> str:

@@ -52,3 +52,7 @@ class BlobStore(Protocol):
     def stored(self, older_than_s: float) -> Iterator[StoredBlob]:
         """Every blob of every tenant that was stored at least so long ago."""
         ...
+
+    def quarantined(self) -> int:
+        """How many damaged blobs were found and put aside; nothing of them is served."""
+        ...

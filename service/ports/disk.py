@@ -16,6 +16,10 @@ class DiskSpace(Protocol):
         """Whether not even that is left."""
         ...
 
+    def free_bytes(self) -> int | None:
+        """How much this user may still write; None where nobody knows."""
+        ...
+
     def wal_bytes(self) -> int:
         """Size of the log of commits that are not folded back into the database yet."""
         ...
@@ -31,6 +35,10 @@ class UnlimitedDisk:
     def exhausted(self) -> bool:
         """See `DiskSpace`."""
         return False
+
+    def free_bytes(self) -> int | None:
+        """See `DiskSpace`."""
+        return None
 
     def wal_bytes(self) -> int:
         """See `DiskSpace`."""

@@ -208,6 +208,16 @@ class AwaitedJobs(Repository[JobRecord], Protocol):
         ...
 
 
+@dataclass(frozen=True)
+class Waiting:
+    """How long jobs wait, and how many were begun in vain."""
+
+    oldest_queued_ns: int | None
+    """When the longest waiting job was made, nanoseconds since 1970; None where none waits."""
+    begun_again: int
+    """Jobs that wait or run after a lost run."""
+
+
 class JobRepository(AwaitedJobs, Protocol):
     """Jobs, also across tenants for upkeep."""
 
@@ -215,6 +225,6 @@ class JobRepository(AwaitedJobs, Protocol):
         """Delete the first `limit` queries (jobs of priority 0), of all tenants, that ended before then; how many."""
         ...
 
-    def oldest_queued_ns(self) -> int | None:
-        """When the longest waiting job of any tenant was made, nanoseconds since 1970; None where none waits."""
+    def waiting(self) -> Waiting:
+        """The jobs of all tenants that have not ended."""
         ...

@@ -13,6 +13,7 @@ from fastapi.exceptions import RequestValidationError
 from starlette.exceptions import HTTPException
 from starlette.requests import Request
 from starlette.responses import Response
+from starlette.types import Receive, Scope, Send
 
 from revisit.core.errors import BadField, ErrorCode, RevisitError
 from revisit.service.status import STATUS, retry_after_s
@@ -48,6 +49,26 @@ class UnknownHost(RevisitError):
     code = ErrorCode.PERMISSION_DENIED
 
 
+REFUSED = "refused"
+"""Under this name the state of a request holds the reason of its refusal."""
+
+
+class ProblemAnswer(Response):
+    """An answer that notes in the state of its request why it was refused."""
+
+    media_type = PROBLEM_JSON
+
+    def __init__(self, body: str, status: int, headers: dict[str, str], reason: ErrorCode) -> None:
+        """`body` is the JSON of the problem."""
+        super().__init__(body, status, headers)
+        self._reason = reason
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Answer."""
+        scope.setdefault("state", {})[REFUSED] = self._reason
+        await super().__call__(scope, receive, send)
+
+
 def problem(error: RevisitError, request_id: str, headers: dict[str, str] | None = None) -> Response:
     """The problem+json answer to an error, at most 4 KB."""
     status = STATUS[error.code]
@@ -70,7 +91,7 @@ def problem(error: RevisitError, request_id: str, headers: dict[str, str] | None
     extra = {} if delay_s is None else {"retry-after": str(max(1, math.ceil(delay_s)))}
     if error.code is ErrorCode.UNAUTHENTICATED:
         extra["www-authenticate"] = "Bearer"
-    return Response(json.dumps(body), status.http, {**(headers or {}), **extra}, PROBLEM_JSON)
+    return ProblemAnswer(json.dumps(body), status.http, {**(headers or {}), **extra}, error.code)
 
 
 def install_error_handlers(app: FastAPI) -> None:

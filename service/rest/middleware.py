@@ -18,7 +18,7 @@ from revisit.service.domain.callers import current_tenant_or_none
 from revisit.service.domain.errors import DeadlineExceeded, WorkersBusy
 from revisit.service.domain.identity import TenantId
 from revisit.service.metrics import RequestMetrics
-from revisit.service.rest.errors import ForeignOrigin, UnknownHost, problem, unexpected
+from revisit.service.rest.errors import REFUSED, ForeignOrigin, UnknownHost, problem, unexpected
 from revisit.service.rest.limits import HttpLimits
 from revisit.service.rest.tracing import call_of
 
@@ -228,7 +228,7 @@ class _Body:
 
 
 class RequestTimer:
-    """Measures how long each request took, under its route and status."""
+    """Measures how long each request took, under its route and status, and counts refusals by their reason."""
 
     def __init__(self, app: ASGIApp, requests: RequestMetrics) -> None:
         self._app = app
@@ -239,7 +239,7 @@ class RequestTimer:
         if scope["type"] != "http":
             await self._app(scope, receive, send)
             return
-        began_s, status = time.perf_counter(), 500
+        began_s, status, state = time.perf_counter(), 500, scope.setdefault("state", {})
 
         async def send_noting(message: Message) -> None:
             nonlocal status
@@ -251,6 +251,8 @@ class RequestTimer:
             await self._app(scope, receive, send_noting)
         finally:
             self._requests.observe("http", call_of(scope), str(status), time.perf_counter() - began_s)
+            if REFUSED in state:
+                self._requests.refuse("http", state[REFUSED])
 
 
 def _two_lengths(headers: Headers) -> RevisitError | None:

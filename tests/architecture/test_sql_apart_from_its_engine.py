@@ -72,7 +72,7 @@ CALLS = {
     "SqlJobs.exhausted": lambda uow: uow.jobs.exhausted(NOW),
     "SqlJobs.leased_to": lambda uow: uow.jobs.leased_to("worker"),
     "SqlJobs.forget_answers": lambda uow: uow.jobs.forget_answers(5, 10),
-    "SqlJobs.oldest_queued_ns": lambda uow: uow.jobs.oldest_queued_ns(),
+    "SqlJobs.waiting": lambda uow: uow.jobs.waiting(),
     "SqlTenantTurns.waiting": lambda uow: SqlTenantTurns(uow.connection).waiting(),
     "SqlTenantTurns.of": lambda uow: SqlTenantTurns(uow.connection).of(TENANT),
     "SqlTenantTurns.latest_start_ms": lambda uow: SqlTenantTurns(uow.connection).latest_start_ms(),

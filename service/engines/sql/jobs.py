@@ -14,6 +14,7 @@ from revisit.service.domain.states import OperationState
 from revisit.service.engines.sql import tables
 from revisit.service.engines.sql.repositories import SqlRepository
 from revisit.service.ports.clock import Instant
+from revisit.service.ports.repositories import Waiting
 
 
 class SqlJobs(SqlRepository[JobRecord]):
@@ -53,11 +54,16 @@ class SqlJobs(SqlRepository[JobRecord]):
         old = select(jobs.number).where(ended).order_by(jobs.finished_at_ns).limit(limit)
         return self._connection.execute(delete(tables.jobs).where(jobs.number.in_(old))).rowcount
 
-    def oldest_queued_ns(self) -> int | None:
+    def waiting(self) -> Waiting:
         """See `JobRepository`."""
-        query = select(func.min(tables.jobs.c.created_at_ns)).where(tables.jobs.c.state == OperationState.QUEUED.value)
-        oldest: int | None = self._connection.execute(query).scalar_one()
-        return oldest
+        jobs = tables.jobs.c
+        queued, running = jobs.state == OperationState.QUEUED.value, jobs.state == OperationState.RUNNING.value
+        oldest_ns: int | None = self._connection.execute(
+            select(func.min(jobs.created_at_ns)).where(queued)
+        ).scalar_one()
+        lost = or_(and_(queued, jobs.attempts > 0), and_(running, jobs.attempts > 1))
+        begun_again = select(func.count()).select_from(tables.jobs).where(lost)
+        return Waiting(oldest_ns, int(self._connection.execute(begun_again).scalar_one()))
 
 
 @cache

@@ -14,7 +14,8 @@ from revisit.core.errors import ErrorCode, RevisitError
 from revisit.sdk import errors as of_sdk
 from revisit.sdk.grpc_transport import _api_error
 from revisit.sdk.rest_transport import _details
-from revisit.service.grpc.errors import STATUS_DETAILS, code_of, rpc_status
+from revisit.service.grpc.errors import code_of, rpc_status
+from revisit.service.grpc.tracing import STATUS_DETAILS
 from revisit.service.rest.errors import problem
 from revisit.service.status import STATUS
 from tests.support.service_world import cloud_points, pose

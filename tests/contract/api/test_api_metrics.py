@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import shutil
+
 import httpx
 import pytest
 
-from revisit.core.errors import ErrorCode
+from revisit.core.errors import DataLoss, ErrorCode
 from revisit.service.domain.errors import Unavailable
-from revisit.service.metrics import MetricsServer, RequestMetrics, StoreMetrics
-from tests.support.service_world import TENANT, memory_world, open_session, submap
+from revisit.service.engines.local.files.disk import Disk
+from revisit.service.metrics import GatewayMetrics, MetricsServer, RequestMetrics, StoreMetrics
+from tests.support.service_world import TENANT, memory_world, open_session, sqlite_world, submap
+from tests.support.stepped_clock import SteppedClock
 
 
 def lines_of(server):
@@ -21,7 +25,7 @@ def lines_of(server):
 def metrics():
     """A world, its request metrics and the server over both."""
     world, requests = memory_world(), RequestMetrics()
-    server = MetricsServer(requests, StoreMetrics(world.context), 0)
+    server = MetricsServer(requests, [StoreMetrics(world.context)], 0)
     yield world, requests, server
     server.close()
 
@@ -51,6 +55,56 @@ async def test_the_oldest_queued_job_tells_how_long_it_has_waited(metrics):
     assert "revisit_oldest_queued_job_seconds 7.0" in lines_of(server)
     world.work_off()
     assert "revisit_oldest_queued_job_seconds 0.0" in lines_of(server)
+
+
+async def test_a_job_that_waits_or_runs_after_a_lost_run_has_begun_again(metrics):
+    world, _, server = metrics
+    await open_session(world)
+    await world.use_cases.posting.post(TENANT, submap("first", place=1))
+    world.claim()
+    assert "revisit_jobs_begun_again 0.0" in lines_of(server)
+    world.clock.ms += world.context.policy.lease_ms + 1
+    world.claim("another worker")
+    assert "revisit_jobs_begun_again 1.0" in lines_of(server)
+    world.work_off()
+
+
+def test_room_on_the_disk_and_damaged_blobs_are_told(tmp_path):
+    disk = Disk(tmp_path, 4096)
+    disk.tend()
+    world = sqlite_world(tmp_path, disk)
+    server = MetricsServer(RequestMetrics(), [StoreMetrics(world.context)], 0)
+    sha256 = world.context.blobs.put(TENANT, "cloud", b"points")
+    found = lines_of(server)
+    assert {"revisit_storage_full 0.0", "revisit_quarantined_blobs 0.0"} <= set(found)
+    assert 0 < float(told(found, "revisit_disk_free_bytes")) <= shutil.disk_usage(tmp_path).total
+    next(tmp_path.glob(f"blobs/*/*/*/{sha256}")).write_bytes(b"pointz")
+    with pytest.raises(DataLoss):
+        world.context.blobs.get(TENANT, "cloud", sha256)
+    disk.release()
+    assert {"revisit_storage_full 1.0", "revisit_quarantined_blobs 1.0"} <= set(lines_of(server))
+    server.close()
+    world.context.transactions.close()
+
+
+def told(lines, name):
+    """The value of a series without labels."""
+    return next(line.partition(" ")[2] for line in lines if line.startswith(f"{name} "))
+
+
+def test_a_refused_call_is_counted_under_its_reason(metrics):
+    _, requests, server = metrics
+    requests.refuse("grpc", ErrorCode.QUOTA)
+    assert 'revisit_refused_calls_total{reason="QUOTA",transport="grpc"} 1.0' in lines_of(server)
+
+
+def test_version_clock_and_end_of_the_certificate_are_told():
+    clock = SteppedClock()
+    server = MetricsServer(RequestMetrics(), [GatewayMetrics("0.2.0", clock, 2e9)], 0)
+    found = lines_of(server)
+    server.close()
+    assert {'revisit_version{version="0.2.0"} 1.0', "revisit_certificate_expiry_seconds 2e+09"} <= set(found)
+    assert float(told(found, "revisit_clock_seconds")) == clock.wall_ns() / 1e9
 
 
 def test_drift_of_the_index_is_counted(metrics):
@@ -87,3 +141,14 @@ def test_metrics_are_told_only_under_names_of_loopback(metrics, host, status):
     _, _, server = metrics
     url = f"http://127.0.0.1:{server.port}/metrics"
     assert httpx.get(url, headers={"host": host}, trust_env=False).status_code == status
+
+
+@pytest.mark.parametrize(
+    ("host", "status"),
+    [("10.0.0.5:1", 200), ("[::1]:1", 200), ("maps.example:1", 200), ("localhost:1", 200), ("evil.example:1", 403)],
+)
+def test_metrics_on_another_address_are_told_to_addresses_and_known_names(host, status):
+    server = MetricsServer(RequestMetrics(), [], 0, "0.0.0.0", frozenset({"maps.example"}))
+    answer = httpx.get(f"http://127.0.0.1:{server.port}/metrics", headers={"host": host}, trust_env=False)
+    server.close()
+    assert answer.status_code == status

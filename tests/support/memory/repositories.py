@@ -23,7 +23,7 @@ from revisit.service.domain.records import (
 from revisit.service.domain.states import EventKind, LoopState, OperationState, SubmapState
 from revisit.service.ports.clock import Clock, Instant
 from revisit.service.ports.index import IndexChange
-from revisit.service.ports.repositories import FoundSubmap, PathPoint, PlacedSubmap
+from revisit.service.ports.repositories import FoundSubmap, PathPoint, PlacedSubmap, Waiting
 
 R = TypeVar("R")
 
@@ -297,9 +297,12 @@ class MemoryJobs(MemoryRepository[JobRecord]):
             del self._rows.by_number[number]
         return len(old)
 
-    def oldest_queued_ns(self) -> int | None:
+    def waiting(self) -> Waiting:
         """See `JobRepository`."""
-        return min((job.created_at_ns for job in self._all() if job.state == OperationState.QUEUED), default=None)
+        first = {OperationState.QUEUED: 0, OperationState.RUNNING: 1}
+        queued_ns = (job.created_at_ns for job in self._all() if job.state == OperationState.QUEUED)
+        begun_again = sum(job.attempts > first[job.state] for job in self._all() if job.state in first)
+        return Waiting(min(queued_ns, default=None), begun_again)
 
     def _all(self) -> list[JobRecord]:
         return [job for _, job in sorted(self._rows.by_number.items())]

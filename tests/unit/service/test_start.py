@@ -112,6 +112,18 @@ def test_a_folder_in_place_of_the_database_is_refused(home, capsys):
     assert "revisit.db cannot be read" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("command", ["serve", "migrate", "worker"])
+def test_a_database_whose_pages_are_damaged_is_refused_in_one_line(command, home, capsys):
+    assert main(["migrate"]) == 0
+    pages = bytearray((home / "revisit.db").read_bytes())
+    # All but the first one, which is the header.
+    pages[4096:] = b"\xff" * (len(pages) - 4096)
+    (home / "revisit.db").write_bytes(pages)
+    assert main([command]) == 78
+    told = capsys.readouterr().err
+    assert "revisit.db cannot be read: database disk image is malformed" in told and told.count("\n") == 1
+
+
 def test_a_data_folder_that_cannot_be_made_is_named(home, capsys, monkeypatch):
     (home / "file").write_text("")
     monkeypatch.setenv("REVISIT_HOME", str(home / "file"))

@@ -105,7 +105,7 @@ class FileBlobStore:
                 yield StoredBlob(TenantId(tenant), kind, sha256)
 
     def quarantined(self) -> int:
-        """How many damaged blobs are in quarantine."""
+        """See `BlobStore`."""
         folder = self._root / QUARANTINE
         return sum(1 for _ in folder.iterdir()) if folder.is_dir() else 0
 

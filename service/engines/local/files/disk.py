@@ -70,7 +70,7 @@ class Disk:
         return self._log.stat().st_size if self._log is not None and self._log.exists() else 0
 
     def free_bytes(self) -> int:
-        """How much this user may still write."""
+        """See `DiskSpace`."""
         disk = os.statvfs(self._home)
         return disk.f_bavail * disk.f_frsize
 

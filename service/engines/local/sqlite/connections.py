@@ -106,7 +106,7 @@ def unreadable(database: Path) -> str:
         return ""
     try:
         with closing(open_to_read(database)) as connection:
-            connection.execute("PRAGMA schema_version").fetchone()
+            connection.execute("SELECT version_num FROM alembic_version").fetchone()
     except sqlite3.DatabaseError as error:
         broken = database.is_dir() or error.sqlite_errorcode in (sqlite3.SQLITE_NOTADB, sqlite3.SQLITE_CORRUPT)
         return str(error) if broken else ""
