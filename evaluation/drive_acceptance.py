@@ -98,7 +98,7 @@ def _verify_query(work: _DriveWork, task: tuple[int, tuple[Match, ...]]) -> tupl
     def verify(row: int, initial: InitialPose | None) -> PairVerdict:
         return _verified(work, number, matches[row], initial)
 
-    verdicts = verify_in_turn(predicted, len(matches), verify, {})
+    verdicts = verify_in_turn(predicted, len(matches), verify)
     return verdicts, time.process_time() - started
 
 

@@ -7,7 +7,7 @@ there would tell the map nothing new (docs/decisions/0161).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -118,23 +118,17 @@ class PredictedPoses:
 
 
 def verify_in_turn(
-    predicted: PredictedPoses,
-    count: int,
-    verify: Callable[[int, InitialPose | None], PairVerdict],
-    known: Mapping[int, PairVerdict],
+    predicted: PredictedPoses, count: int, verify: Callable[[int, InitialPose | None], PairVerdict]
 ) -> dict[int, PairVerdict]:
     """The verdicts on `count` candidates, most similar first, by row; without those whose pose is known by then.
 
-    verify(row, initial) verifies one, with the predicted pose as a hint where there is one; verdicts in `known` stand.
+    verify(row, initial) verifies one, with the predicted pose as a hint where there is one.
     """
     verdicts = dict[int, PairVerdict]()
     for row in range(count):
         pose = predicted.of(row)
-        if row in known:
-            verdicts[row] = known[row]
-        elif pose is None or not pose.is_known:
+        if pose is None or not pose.is_known:
             verdicts[row] = verify(row, pose.hint if pose is not None else None)
-        if row in verdicts:
             predicted.add(row, verdicts[row])
     return verdicts
 

@@ -132,7 +132,11 @@ class ScanRecord:
 
 @dataclass(frozen=True)
 class SubmapRecord:
-    """A submap: one cloud blob, or the scans first_seq..last_seq; and a worker's results."""
+    """A submap: one cloud blob, or the scans first_seq..last_seq; and a worker's results.
+
+    `entered` is the change by which it entered the index of its map, 0 before that, and `map_version` the version in
+    force then. `searched`: its loops with those that entered before it are there.
+    """
 
     tenant: TenantId
     map_id: str
@@ -160,6 +164,9 @@ class SubmapRecord:
     neural_map_bytes: int | None = None
     failure_code: str | None = None
     failure_message: str | None = None
+    entered: int = 0
+    map_version: int = 0
+    searched: bool = True
     number: int = 0
 
 

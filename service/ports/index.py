@@ -37,7 +37,7 @@ class ChangeLog(Protocol):
     """The history of a map's index, which lets any process catch up: the database is the truth, an index a cache."""
 
     def record_described(self, tenant: TenantId, map_number: int, submap_number: int) -> int:
-        """The submap has a descriptor now; the change's sequence number."""
+        """The submap has a descriptor now; the change's sequence number, which its row gets as `entered`."""
         ...
 
     def record_removed(self, tenant: TenantId, map_number: int, submap_numbers: Collection[int]) -> None:

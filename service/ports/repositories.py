@@ -183,6 +183,10 @@ class SubmapRepository(Repository[SubmapRecord], FoundSubmaps, Protocol):
         """The lowest number of a submap of a map that is still queued; None where none is."""
         ...
 
+    def first_unsearched(self, tenant: TenantId, map_id: str) -> int | None:
+        """As `first_waiting`, of those that are described, with loops that are still searched for."""
+        ...
+
     def flag_counts(self, tenant: TenantId, map_id: str, session_id: str) -> dict[str, int]:
         """Flag -> how many submaps of a session have it; of failed ones also the code of the failure."""
         ...

@@ -67,6 +67,7 @@ CALLS = {
     "SqlLoops.telling": lambda uow: uow.loops.telling(TENANT, [1, 2], ["AMBIGUOUS"]),
     "SqlLoops.reasons": lambda uow: uow.loops.reasons(TENANT, [1, 2]),
     "SqlSubmaps.first_waiting": lambda uow: uow.submaps.first_waiting(TENANT, "town"),
+    "SqlSubmaps.first_unsearched": lambda uow: uow.submaps.first_unsearched(TENANT, "town"),
     "SqlJobs.unfinished": lambda uow: uow.jobs.unfinished(TENANT, {"op-1", "op-2"}),
     "SqlJobs.next_runnable": lambda uow: (uow.jobs.next_runnable(NOW, TENANT), uow.jobs.add(a_job())),
     "SqlJobs.exhausted": lambda uow: uow.jobs.exhausted(NOW),

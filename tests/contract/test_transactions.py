@@ -232,6 +232,20 @@ def test_the_first_that_waits_in_a_map_is_one_of_this_tenant(write, read):
     assert first_waiting(TENANT, "elsewhere") is first_waiting(OTHER, "town") is None
 
 
+def test_the_first_with_loops_that_are_searched_for_is_one_of_this_tenant(write, read):
+    _, _, first, second, _ = write(fill)
+
+    def first_unsearched(tenant, map_id):
+        return read(lambda uow: uow.submaps.first_unsearched(tenant, map_id))
+
+    assert first_unsearched(TENANT, "town") is None
+    write(lambda uow: uow.submaps.revise([first, second], searched=False))
+    assert first_unsearched(TENANT, "town") == first.number
+    write(lambda uow: uow.submaps.revise([first], searched=True))
+    assert first_unsearched(TENANT, "town") == second.number
+    assert first_unsearched(TENANT, "elsewhere") is first_unsearched(OTHER, "town") is None
+
+
 def test_the_path_of_a_session_is_read_from_a_submap_on_and_back(write, read):
     def add(uow):
         uow.maps.add(a_map())

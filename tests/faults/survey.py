@@ -157,12 +157,13 @@ def _version_problems(uow: UnitOfWork, record: MapRecord) -> Iterator[str]:
 
 
 def _job_problems(submaps: list[SubmapRecord], jobs: list[JobRecord]) -> Iterator[str]:
-    """A submap waits exactly while its job does, and has ended exactly as its job has."""
-    allowed = {"QUEUED": {"QUEUED", "RUNNING"}, "DESCRIBED": {"DONE"}, "FAILED": {"FAILED"}}
+    """A submap waits, or its loops are looked for, exactly while its job does; it has ended exactly as its job has."""
+    waits = {"QUEUED", "RUNNING"}
+    allowed = {"QUEUED": waits, "DESCRIBED": {"DONE"}, "FAILED": {"FAILED"}}
     states = {job.operation_id: job.state for job in jobs}
     for submap in submaps:
         state = states.get(submap.operation_id, "gone")
-        if state not in allowed[submap.state]:
+        if state not in (allowed[submap.state] if submap.searched else waits):
             yield f"submap/{submap.submap_id} is {submap.state}, its job {state}"
 
 

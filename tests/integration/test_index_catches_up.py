@@ -29,7 +29,7 @@ async def test_portions_of_any_size_give_the_same_index(tmp_path, monkeypatch, p
 
     map_record, record = world.context.transactions.read(load).result()
     recall = memory.recall(map_record, np.frombuffer(record.descriptor, dtype="<f4"), 10, anywhere)
-    assert {place.submap.submap_id for place in recall.places} == {"s0", "s1", "s2", "s4"}
-    assert recall.places[0].submap.submap_id == "s1"
-    assert (index.size(map_record.number), recall.seq) == (4, 6)
+    assert {place.submap.submap_id for place in recall} == {"s0", "s1", "s2", "s4"}
+    assert recall[0].submap.submap_id == "s1"
+    assert (index.size(map_record.number), index.seq(map_record.number)) == (4, 6)
     world.context.transactions.close()

@@ -64,7 +64,7 @@ class Process:
         memory = PlaceMemory(self.context.transactions, self.context.index)
         rows = self.context.transactions.read(lambda uow: uow.submaps.find(TENANT, map_id=SESSION.map_id)).result()
         vectors = [np.frombuffer(row.descriptor, dtype="<f4") for row in rows]
-        return [memory.recall(self.map, vector, 1, anywhere).places[0].submap.submap_id for vector in vectors]
+        return [memory.recall(self.map, vector, 1, anywhere)[0].submap.submap_id for vector in vectors]
 
     def delete(self, submap_id: str) -> None:
         asyncio.run(self.use_cases.submaps.delete(TENANT, submap(submap_id, 0).key))
@@ -243,7 +243,7 @@ def test_a_search_whose_hit_is_erased_meanwhile_loads_the_file_again(home, monke
         vector = np.frombuffer(worker.row("s0").descriptor, dtype="<f4")
         monkeypatch.setattr(worker.context.index, "search", after_the_deletion)
         memory = PlaceMemory(worker.context.transactions, worker.context.index)
-        names = {place.submap.submap_id for place in memory.recall(worker.map, vector, 20, anywhere).places}
+        names = {place.submap.submap_id for place in memory.recall(worker.map, vector, 20, anywhere)}
         assert names == set(EVERY_ONE) - {"s0"}
         assert worker.own_rows == 0
 

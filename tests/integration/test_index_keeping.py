@@ -53,7 +53,7 @@ def found(context) -> list[str]:
     memory, record = PlaceMemory(context.transactions, context.index), map_of(context)
     rows = context.transactions.read(lambda uow: uow.submaps.find(TENANT, map_id=SESSION.map_id)).result()
     vectors = [np.frombuffer(row.descriptor, dtype="<f4") for row in rows]
-    return [memory.recall(record, vector, 1, anywhere).places[0].submap.submap_id for vector in vectors]
+    return [memory.recall(record, vector, 1, anywhere)[0].submap.submap_id for vector in vectors]
 
 
 EVERY_ONE = [f"s{number}" for number in range(SUBMAPS)]

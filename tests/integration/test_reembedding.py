@@ -79,7 +79,7 @@ async def test_every_submap_gets_the_new_model_and_is_found_by_it(world, drafts)
     memory = PlaceMemory(world.context.transactions, PlaceVectorIndex(FaissIndex))
     before = rows_of(world)
     query = np.frombuffer(before[0].descriptor, "<f4")
-    assert memory.recall(map_of(world), query, 1, anywhere).places[0].submap.submap_id == "a"
+    assert memory.recall(map_of(world), query, 1, anywhere)[0].submap.submap_id == "a"
     newer, told = Newer(), []
     work = work_of(world, newer, drafts)
     (stale,) = work.stale_maps()
@@ -92,7 +92,7 @@ async def test_every_submap_gets_the_new_model_and_is_found_by_it(world, drafts)
         assert (new.model_version, new.neural_map_sha256) == ("fake-2", old.neural_map_sha256)
         assert world.context.blobs.get(TENANT, PLACE_BLOB, new.place_sha256) == new.descriptor
         found = memory.recall(map_of(world), np.frombuffer(new.descriptor, "<f4"), 1, anywhere)
-        assert found.places[0].submap.submap_id == new.submap_id
+        assert found[0].submap.submap_id == new.submap_id
     await world.use_cases.posting.post(TENANT, submap("d", 9))
     world.work_off(newer)
     assert [row.state for row in rows_of(world)] == ["DESCRIBED"] * 4
@@ -173,7 +173,7 @@ async def test_what_cannot_be_described_has_failed_with_the_reason_and_is_found_
     ]  # fmt: skip
     memory = PlaceMemory(world.context.transactions, PlaceVectorIndex(FaissIndex))
     query = np.frombuffer(rows_of(world)[0].descriptor, "<f4")
-    found = memory.recall(map_of(world), query, 5, anywhere).places
+    found = memory.recall(map_of(world), query, 5, anywhere)
     assert [place.submap.submap_id for place in found] == ["a"]
 
 

@@ -12,7 +12,7 @@ from revisit.service.domain.identity import TenantId
 from revisit.service.engines.sql import tables
 from revisit.service.engines.sql.checksums import sound_descriptor
 from revisit.service.engines.sql.engine import DatabaseEngine
-from revisit.service.engines.sql.repositories import new_row
+from revisit.service.engines.sql.repositories import changed_row, new_row
 from revisit.service.ports.index import IndexChange
 
 SESSION_REMOVED = "SESSION_REMOVED"
@@ -31,7 +31,10 @@ class SqlChangeLog:
         """See `ChangeLog`."""
         self._engine.number_in_commit_order(self._connection, tables.index_changes)
         row = _change_row(tenant, map_number, submap_number, "DESCRIBED")
-        return int(self._connection.execute(new_row(tables.index_changes), row).scalar_one())
+        seq = int(self._connection.execute(new_row(tables.index_changes), row).scalar_one())
+        entered = {"its_number": submap_number, "its_tenant": tenant, "entered": seq}
+        self._connection.execute(changed_row(tables.submaps), entered)
+        return seq
 
     def record_removed(self, tenant: TenantId, map_number: int, submap_numbers: Collection[int]) -> None:
         """See `ChangeLog`."""

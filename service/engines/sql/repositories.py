@@ -31,6 +31,7 @@ from sqlalchemy import (
     func,
     insert,
     select,
+    text,
     true,
     update,
 )
@@ -292,8 +293,15 @@ class SqlSubmaps(SqlRepository[SubmapRecord]):
 
     def first_waiting(self, tenant: TenantId, map_id: str) -> int | None:
         """See `SubmapRepository`."""
-        asked = of_tenant(tenant, {"state": SubmapState.QUEUED.value, "map_id": map_id})
-        query = select(func.min(tables.submaps.c.number)).where(self._where(asked))
+        return self._first(of_tenant(tenant, {"state": SubmapState.QUEUED.value, "map_id": map_id}))
+
+    def first_unsearched(self, tenant: TenantId, map_id: str) -> int | None:
+        """See `SubmapRepository`."""
+        # The condition of the partial index, word for word.
+        return self._first(of_tenant(tenant, {"map_id": map_id}), text(tables.UNSEARCHED))
+
+    def _first(self, asked: Asked, *further: ColumnElement[bool]) -> int | None:
+        query = select(func.min(tables.submaps.c.number)).where(self._where(asked), *further)
         first: int | None = self._connection.execute(query, asked).scalar_one()
         return first
 

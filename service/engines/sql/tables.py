@@ -42,6 +42,9 @@ metadata = MetaData(naming_convention=NAMING)
 ANSWERED_QUERIES = "priority = 0"
 """The condition of the index of jobs by their end: those of queries, with answers that expire."""
 
+UNSEARCHED = "NOT searched"
+"""The condition of the index of submaps with loops that are still searched for: a few at a time."""
+
 
 class JsonTuple(TypeDecorator[tuple[Any, ...]]):
     """A tuple of numbers or strings as a JSON list; floats keep every bit."""
@@ -192,12 +195,16 @@ submaps = _numbered(
     _integer("neural_map_bytes", nullable=True),
     _text("failure_code", nullable=True),
     Column("failure_message", Text, nullable=True),
+    Column("entered", BigInteger, nullable=False, server_default="0"),
+    Column("map_version", BigInteger, nullable=False, server_default="0"),
+    Column("searched", Boolean, nullable=False, server_default="1"),
     # No field of the record: the engine keeps it, if it keeps any (see `checksums`).
     _integer("checksum", nullable=True),
     ForeignKeyConstraint(
         ["tenant", "map_id", "session_id"], ["sessions.tenant", "sessions.map_id", "sessions.session_id"]
     ),
     Index(None, "state", "tenant", "map_id"),
+    Index(None, "tenant", "map_id", info={"where": UNSEARCHED}),
     Index(None, "tenant", "map_id", "session_id", "ordinal"),
     Index(None, "tenant", "cloud_sha256"),
     Index(None, "tenant", "place_sha256"),

@@ -36,8 +36,9 @@ class NoLoops:
 def why_no_loops(uow: UnitOfWork, session: SessionRecord, config: LoopConfig) -> NoLoops | None:
     """Why a finished session has no accepted loop, its own or another's; None where it has one, or may get one yet."""
     of_session = {"map_id": session.map_id, "session_id": session.session_id}
-    if session.state != SessionState.FINISHED or uow.submaps.count(
-        session.tenant, **of_session, state=SubmapState.QUEUED.value
+    waiting = ({"state": SubmapState.QUEUED.value}, {"searched": False})
+    if session.state != SessionState.FINISHED or any(
+        uow.submaps.count(session.tenant, **of_session, **one) for one in waiting
     ):
         return None
     count = uow.submaps.count(session.tenant, **of_session)

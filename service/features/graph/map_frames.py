@@ -95,8 +95,8 @@ class MapFrames:
         kept: KeptSessions | None = None,
         record: MapRecord | None = None,
     ) -> None:
-        """Those of the version in force; of none where the map has none, or is not there. Sessions may be `kept`, and
-        the map's `record` have been read in this transaction.
+        """Those of the version in force; of none where the map has none, or is not there. Sessions may be `kept`. The
+        map's `record` may have been read before: then those of the version that was in force by it.
         """
         record = record or uow.maps.get(tenant, map_id)
         self._uow = uow

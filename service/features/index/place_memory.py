@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -39,14 +39,6 @@ class RecalledPlace:
 
 
 @dataclass(frozen=True)
-class Recall:
-    """The places most like the query, as of change `seq` of the map's index."""
-
-    places: tuple[RecalledPlace, ...]
-    seq: int
-
-
-@dataclass(frozen=True)
 class Question:
     """The descriptor (d,) that is searched for, the map, and which of its submaps may be hits."""
 
@@ -78,13 +70,27 @@ class PlaceMemory:
         self._sessions = KeptSessions()
         self._caught_up: dict[int, tuple[int, int]] = {}
 
-    def recall(self, map_record: MapRecord, vector: NDArray[np.float32], k: int, where: ReadFilter) -> Recall:
-        """The k places most like `vector` (d,). Raises BadField for another dimension.
+    def recall(
+        self, map_record: MapRecord, vector: NDArray[np.float32], k: int, where: ReadFilter, before: int | None = None
+    ) -> tuple[RecalledPlace, ...]:
+        """The k places most like `vector` (d,), of those that entered the index before change `before`.
 
-        `where` is read once the index has caught up, so that it knows every session that has a place there.
+        `where` is read once the index has caught up, so that it knows every session that has a place there. Raises
+        BadField for another dimension.
         """
-        matches, seq = self._matches(map_record, vector, k, lambda: self._transactions.read_here(where))
-        return Recall(self._transactions.read_here(lambda uow: _places(uow, map_record.tenant, matches)), seq)
+        matches, _ = self._matches(map_record, vector, k, partial(self._where, map_record, where, before), to=before)
+        return self._transactions.read_here(lambda uow: _places(uow, map_record.tenant, matches))
+
+    def _where(self, map_record: MapRecord, where: ReadFilter, before: int | None) -> VectorFilter:
+        """The filter, which leaves out what the index holds beyond change `before`."""
+        beyond = before is not None and self._index.seq(map_record.number) > before
+
+        def read(uow: UnitOfWork) -> VectorFilter:
+            later = uow.changes.since(map_record.tenant, map_record.number, before or 0) if beyond else []
+            found = where(uow)
+            return replace(found, without=found.without.union(change.submap_number for change in later))
+
+        return self._transactions.read_here(read)
 
     def _matches(
         self,
@@ -93,22 +99,28 @@ class PlaceMemory:
         k: int,
         where: Callable[[], VectorFilter],
         news: _News | None = None,
+        to: int | None = None,
     ) -> tuple[list[VectorMatch], int]:
-        """The hits of the index, and the change up to which it is complete; `news` of it may have been read."""
+        """The hits of the index, and the change up to which it is complete; `news` of it may have been read.
+
+        With `to` no change behind that one is applied.
+        """
         tenant, number = map_record.tenant, map_record.number
         while True:
-            seq = self.catch_up(tenant, number) if news is None else self._apply(number, news)
+            seq = self.catch_up(tenant, number, to) if news is None else self._apply(number, news)
             news = None
             matches = self._index.search(number, vector, k, where()) if self._index.size(number) else []
             if self._index.seq(number) >= seq:
                 return matches, seq
             # The map was forgotten in between, to be loaded again.
 
-    def catch_up(self, tenant: TenantId, number: int) -> int:
-        """Apply the changes that the index lacks, in portions; the last change that was read."""
+    def catch_up(self, tenant: TenantId, number: int, to: int | None = None) -> int:
+        """Apply the changes that the index lacks, up to change `to`, in portions; the last change that was read."""
         while True:
             before = self._index.seq(number) or self._loaded(tenant, number)
             changes = self._transactions.read_here(partial(_changes, tenant=tenant, number=number, seq=before))
+            if to is not None:
+                changes = [change for change in changes if change.seq <= to]
             more = len(changes) > PORTION
             seq = self._apply(number, _News(before, changes[:PORTION]), more)
             if not more:

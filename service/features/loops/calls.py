@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import AsyncIterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -90,7 +90,7 @@ class Loops:
 
         Raises NotFound for the map and the session, SeqNotReached where `fresh` was not reached.
         """
-        await self._writes.reached(tenant, map_id, fresh)
+        await self._writes.reached(tenant, map_id, replace(fresh, loops=True))
         wanted = Wanted(map_id, state, session_id, graph_state, reason or None)
         find = partial(_views, tenant=tenant, wanted=wanted)
         return await self._context.lists.page(tenant, page, find, lambda _, view: view)

@@ -65,11 +65,15 @@ _MOST_MATCHES = 1000
 
 @dataclass(frozen=True)
 class StoredDrive:
-    """The drive before a submap, as the rules ask for it, and the row and submaps of each of its claims."""
+    """The drive before a submap, as the rules ask for it, and the row and submaps of each of its claims.
+
+    `unsearched`: submaps of it with loops that are still searched for.
+    """
 
     drive: Drive
     loops: list[LoopRecord]
     pairs: list[tuple[SubmapRecord, SubmapRecord]]
+    unsearched: list[SubmapRecord]
 
 
 def station(submap: SubmapRecord) -> Station:
@@ -78,19 +82,21 @@ def station(submap: SubmapRecord) -> Station:
 
 
 def drive_before(uow: UnitOfWork, submap: SubmapRecord, config: PipelineConfig) -> StoredDrive:
-    """The drive of `submap` before it, as far as the rules ask."""
+    """The drive of `submap` before it, as far as the rules ask: the loops of submaps that entered before it, too."""
     path = uow.submaps.path(
         submap.tenant, submap.map_id, submap.session_id, submap.ordinal, submaps_asked(config), back=True
     )
-    queries = uow.submaps.numbered(submap.tenant, [one.number for one in path])
+    before = uow.submaps.numbered(submap.tenant, [one.number for one in path])
+    queries = {number: one for number, one in before.items() if one.entered < submap.entered}
     stored = uow.loops.telling(submap.tenant, sorted(queries), [reason.value for reason in TELLING])
     loops = [loop for loop in stored if _says(loop)]
     matches = uow.submaps.numbered(submap.tenant, sorted({loop.match_number for loop in loops})[-_MOST_MATCHES:])
     loops = [loop for loop in loops if loop.match_number in matches]
     pairs = [(queries[loop.query_number], matches[loop.match_number]) for loop in loops]
     claims = [claim_of_row(loop, *pair) for loop, pair in zip(loops, pairs, strict=True)]
-    stride_m = stride_of_drive(station(submap), [station(one) for one in queries.values()], config)
-    return StoredDrive(Drive(claims, stride_m), loops, pairs)
+    stride_m = stride_of_drive(station(submap), [station(one) for one in before.values()], config)
+    unsearched = [one for one in queries.values() if not one.searched]
+    return StoredDrive(Drive(claims, stride_m), loops, pairs, unsearched)
 
 
 def _says(loop: LoopRecord) -> bool:

@@ -125,7 +125,9 @@ class MergeCommit:
     def _copy_submaps(self, uow: UnitOfWork, target: MapRecord, copies: _Copies) -> None:
         for submap in self.proposal.task.source.submaps:
             of = copies.sessions[submap.session_number]
-            own = replace(submap, map_id=of.map_id, session_id=of.session_id, session_number=of.number, number=0)
+            own = replace(
+                submap, map_id=of.map_id, session_id=of.session_id, session_number=of.number, searched=True, number=0
+            )
             copies.submaps[submap.number] = uow.submaps.add(own).number
             uow.changes.record_described(target.tenant, target.number, copies.submaps[submap.number])
 

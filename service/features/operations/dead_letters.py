@@ -17,7 +17,7 @@ from revisit.service.domain.records import JobRecord, SubmapRecord
 from revisit.service.domain.states import OperationKind, OperationState, SubmapState
 from revisit.service.features.resources.call_context import CallContext
 from revisit.service.features.resources.views import OperationView, operation_view
-from revisit.service.ports.storage import require_job
+from revisit.service.ports.storage import require_job, require_map
 from revisit.service.ports.transactions import UnitOfWork
 
 
@@ -66,11 +66,15 @@ class DeadLetters:
 
 
 def mark_subject_failed(uow: UnitOfWork, job: JobRecord, code: str, message: str) -> None:
-    """Mark the submap as failed: its description has failed for good."""
+    """Mark the submap as failed: its description has failed for good. It leaves its map, if it has entered it."""
     submap = _subject(uow, job) if job.kind == OperationKind.DESCRIBE_SUBMAP else None
-    if submap is not None:
-        failed = SubmapState.FAILED.value
-        uow.submaps.replace(replace(submap, state=failed, failure_code=code, failure_message=message))
+    if submap is None:
+        return
+    if submap.state == SubmapState.DESCRIBED:
+        record = require_map(uow, submap.tenant, submap.map_id)
+        uow.changes.record_removed(submap.tenant, record.number, [submap.number])
+    failed = replace(submap, state=SubmapState.FAILED.value, failure_code=code, failure_message=message)
+    uow.submaps.replace(replace(failed, descriptor=None, entered=0, searched=True))
 
 
 def _subject(uow: UnitOfWork, job: JobRecord) -> SubmapRecord | None:

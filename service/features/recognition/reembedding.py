@@ -160,6 +160,7 @@ class Reembedding:
         if [one.number for one in _described(uow, record)] != [row.number for row in rows]:
             return False
         for one, row in zip(renewed, rows, strict=True):
+            uow.submaps.replace(row)
             if one.description is None:
                 uow.changes.record_removed(row.tenant, record.number, [row.number])
             else:
@@ -169,7 +170,6 @@ class Reembedding:
                 if one.description.neural_map is not None:
                     self._blobs.put(row.tenant, NEURAL_MAP_BLOB, one.description.neural_map)
                 uow.changes.record_described(row.tenant, record.number, row.number)
-            uow.submaps.replace(row)
         uow.maps.replace(replace(current, model_version=self._model(record)))
         return True
 
@@ -192,7 +192,9 @@ class Reembedding:
 
 
 def _described(uow: UnitOfWork, record: MapRecord) -> list[SubmapRecord]:
-    return uow.submaps.find(record.tenant, map_id=record.map_id, state=SubmapState.DESCRIBED.value)
+    """In the order in which they entered: those of which the loops are still searched for keep their place in it."""
+    described = uow.submaps.find(record.tenant, map_id=record.map_id, state=SubmapState.DESCRIBED.value)
+    return sorted(described, key=lambda one: (one.entered, one.number))
 
 
 def _draft(described: SubmapDescription) -> bytes:

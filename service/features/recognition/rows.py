@@ -1,9 +1,9 @@
-"""The transaction that completes a description: the submap, its loops, its entry in the index and its job, together."""
+"""The two transactions of a description: the submap enters its map; its loops and the end of the job, together."""
 
 from __future__ import annotations
 
 import hashlib
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from revisit.core.acceptance import LoopClaim
@@ -16,7 +16,7 @@ from revisit.service.domain.states import LoopEventKind, LoopState
 from revisit.service.failpoints import failpoint
 from revisit.service.features.deletion.rows import SUBMAP_DELETED
 from revisit.service.features.graph.posting import optimise_soon
-from revisit.service.features.index.place_memory import ReadFilter, RecalledPlace
+from revisit.service.features.index.place_memory import RecalledPlace
 from revisit.service.features.ingest.rows import SubmapSource
 from revisit.service.features.loops.claims import kept_evidence, loop_state, revised_evidence, rules_of
 from revisit.service.features.loops.rows import (
@@ -28,7 +28,6 @@ from revisit.service.features.loops.rows import (
 )
 from revisit.service.features.resources.views import submap_key
 from revisit.service.ports.blobs import BlobStore
-from revisit.service.ports.index import IndexChange, VectorFilter
 from revisit.service.ports.job_queue import Lease
 from revisit.service.ports.recogniser import SubmapDescription
 from revisit.service.ports.storage import require_map
@@ -70,64 +69,84 @@ class StoredDescription:
 
 
 @dataclass(frozen=True)
-class DescriptionCommit:
-    """The one transaction that ends a description; `revised` are earlier loops that this one's loops decide."""
+class Query:
+    """A submap that has entered its map, which is as it was then; `place` where this run has described it."""
+
+    submap: SubmapRecord
+    map: MapRecord
+    place: bytes | None = None
+    timings_s: dict[str, float] = field(default_factory=dict)
+
+    @property
+    def asked(self) -> SubmapRecord | bytes:
+        """The query of a comparison."""
+        return self.submap if self.place is None else self.place
+
+
+@dataclass(frozen=True)
+class Entry:
+    """The transaction in which a described submap enters its map: descriptor, state and change of the index."""
 
     blobs: BlobStore
-    policy: Policy
     lease: Lease
-    task: DescriptionTask
+    map: MapRecord
     described: StoredDescription
-    judged: list[JudgedPlace]
-    revised: list[RevisedLoop]
-    where: ReadFilter
-    seq: int
-    now_ns: int
 
-    def __call__(self, uow: UnitOfWork) -> bool:
-        """Commit, or change nothing and return False where a possible match came in since change `seq`.
-
-        Raises StaleLease where another worker holds the job.
-        """
-        tenant, map_record = self.task.map.tenant, self.task.map
+    def __call__(self, uow: UnitOfWork) -> None:
+        """Commit, or change nothing where the submap was deleted. Raises StaleLease, DescriptorModelMismatch."""
         # A late run must not trip over the rows of the run that overtook it.
         uow.queue.require(self.lease)
-        newer = uow.changes.since(tenant, map_record.number, self.seq)
-        where = self.where(uow) if newer else VectorFilter()
-        if any(_may_match(change, where) for change in newer):
-            return False
-        own = self.task.submap.number
-        stored = uow.submaps.found(tenant, [own, *(item.place.submap.number for item in self.judged)])
-        if own not in stored:
-            self._end(uow, SUBMAP_DELETED)
-            return True
-        self._store_submap(uow)
+        row = self.described.row
+        if row.number not in uow.submaps.found(row.tenant, [row.number]):
+            return
+        current = require_map(uow, row.tenant, row.map_id)
+        if current.model_version not in (None, row.model_version):
+            raise DescriptorModelMismatch(f"map {row.map_id} was described by model {current.model_version}")
+        self._keep_blobs()
+        if current.model_version is None:
+            uow.maps.replace(replace(current, model_version=row.model_version))
+        uow.submaps.replace(replace(row, map_version=current.map_version))
         failpoint("merge.after_submap")
+        uow.changes.record_described(row.tenant, self.map.number, row.number)
+
+    def _keep_blobs(self) -> None:
+        tenant, blobs = self.described.row.tenant, self.blobs
+        for kind, data in self.described.blobs:
+            # A delete may have collected the same content meanwhile (see blob_references.collect_blobs).
+            if not blobs.exists(tenant, kind, hashlib.sha256(data).hexdigest()):
+                blobs.put(tenant, kind, data)
+
+
+@dataclass(frozen=True)
+class LoopCommit:
+    """The transaction that ends a description; `revised` are earlier loops that this one's loops decide."""
+
+    policy: Policy
+    lease: Lease
+    query: Query
+    judged: list[JudgedPlace]
+    revised: list[RevisedLoop]
+    now_ns: int
+
+    def __call__(self, uow: UnitOfWork) -> None:
+        """Commit. Raises StaleLease where another worker holds the job."""
+        uow.queue.require(self.lease)
+        own = self.query.submap
+        stored = uow.submaps.found(own.tenant, [own.number, *(item.place.submap.number for item in self.judged)])
+        if own.number not in stored:
+            self._end(uow, SUBMAP_DELETED)
+            return
         present = [item for item in self.judged if item.place.submap.number in stored]
         loops = [self._loop(item) for item in present]
         add_loops(uow, [(loop, self._verified(loop.evidence)) for loop in loops])
+        uow.submaps.revise([own], searched=True)
         accepted = sum(item.claim.accepted for item in present)
         if accepted + sum(self._revise(uow, loop) for loop in self.revised):
-            optimise_soon(uow, tenant, map_record.map_id, self.policy, self.now_ns)
+            optimise_soon(uow, own.tenant, own.map_id, self.policy, self.now_ns)
         failpoint("merge.after_loops")
-        timings = {stage: round(seconds, 4) for stage, seconds in self.described.description.timings_s.items()}
-        result = {"submap": submap_key(self.task.submap).name, "loops_accepted": accepted}
+        timings = {stage: round(seconds, 4) for stage, seconds in self.query.timings_s.items()}
+        result = {"submap": submap_key(own).name, "loops_accepted": accepted}
         self._end(uow, {**result, "loops_rejected": len(present) - accepted, "timings_s": timings})
-        return True
-
-    def _store_submap(self, uow: UnitOfWork) -> None:
-        row, blobs = self.described.row, self.blobs
-        for kind, data in self.described.blobs:
-            # A delete may have collected the same content meanwhile (see blob_references.collect_blobs).
-            if not blobs.exists(row.tenant, kind, hashlib.sha256(data).hexdigest()):
-                blobs.put(row.tenant, kind, data)
-        uow.submaps.replace(row)
-        uow.changes.record_described(row.tenant, self.task.map.number, row.number)
-        current = require_map(uow, row.tenant, row.map_id)
-        if current.model_version is None:
-            uow.maps.replace(replace(current, model_version=self.described.row.model_version))
-        elif current.model_version != self.described.row.model_version:
-            raise DescriptorModelMismatch(f"map {row.map_id} was described by model {current.model_version}")
 
     def _end(self, uow: UnitOfWork, result: dict[str, Any]) -> None:
         uow.queue.complete(self.lease, result)
@@ -156,15 +175,15 @@ class DescriptionCommit:
 
     @property
     def _rules(self) -> VerificationConfig:
-        return self.policy.for_map(self.task.map).verification
+        return self.policy.for_map(self.query.map).verification
 
     def _verified(self, evidence: dict[str, Any]) -> Change:
         """The rules of a verdict: the model and the thresholds."""
-        details = {"model_version": self.described.row.model_version, **rules_of(evidence)}
+        details = {"model_version": self.query.submap.model_version, **rules_of(evidence)}
         return Change(LoopEventKind.VERIFIED, self.now_ns, details=details)
 
     def _loop(self, item: JudgedPlace) -> LoopRecord:
-        query, match, claim = self.task.submap, item.place.submap, item.claim
+        query, match, claim = self.query.submap, item.place.submap, item.claim
         return LoopRecord.between(
             query,
             match,
@@ -174,13 +193,6 @@ class DescriptionCommit:
             similarity=item.place.similarity,
             score=claim.score,
             T_match_query=None if claim.T_match_query is None else pose_row(claim.T_match_query),
-            evidence={**kept_evidence(claim, self._rules), "model_version": self.described.row.model_version},
+            evidence={**kept_evidence(claim, self._rules), "model_version": self.query.submap.model_version},
             created_at_ns=self.now_ns,
         )
-
-
-def _may_match(change: IndexChange, where: VectorFilter) -> bool:
-    """Whether a change brought in a submap that the loop filter lets through."""
-    if change.vector is None or change.submap_number in where.without:
-        return False
-    return where.only_sessions is None or change.session_number in where.only_sessions

@@ -64,16 +64,16 @@ class CloudQueryJob:
         config = self._context.policy.for_map(map_record)
         k = criteria_from_json(lease.job.payload["criteria"]).k
         compared = max(k, config.loop.candidates)
-        recall = self._memory.recall(map_record, description.descriptor, compared, lambda _: where)
-        verdicts = [self._comparison.verify(description.place, one, config) for one in recall.places]
+        recalled = self._memory.recall(map_record, description.descriptor, compared, lambda _: where)
+        verdicts = [self._comparison.verify(description.place, one, config) for one in recalled]
         # A cloud is of no drive and has no odometry: its own frame is all there is.
         query = Station(None, 0, np.eye(4))
         claims = [
-            LoopClaim(query, station(one.submap), verdict) for one, verdict in zip(recall.places, verdicts, strict=True)
+            LoopClaim(query, station(one.submap), verdict) for one, verdict in zip(recalled, verdicts, strict=True)
         ]
-        in_map = stations_in_map(self._context.transactions, [one.submap for one in recall.places])
+        in_map = stations_in_map(self._context.transactions, [one.submap for one in recalled])
         claims = accept_cloud(claims, in_map, config)
-        judged = [JudgedPlace(one, claim) for one, claim in zip(recall.places, claims, strict=True)]
+        judged = [JudgedPlace(one, claim) for one, claim in zip(recalled, claims, strict=True)]
         found = _localization(judged, k, config)
         pose = self._context.transactions.read(partial(_in_map, found=found, judged=judged)).result()
         left_out = self._memory.on_other_storeys(map_record, where)

@@ -23,12 +23,14 @@ _PAUSE_S = (0.005, 0.25)
 class Freshness:
     """A read barrier: the answer includes every submap of the map up to `min_seq`.
 
-    Waits at most `timeout_s` (0 to 60 s); a `min_seq` of 0 disables it. A submap that failed is not waited for: its
-    operation says why.
+    Waits at most `timeout_s` (0 to 60 s); a `min_seq` of 0 disables it. With `loops` the answer also includes the loops
+    of these submaps with those that entered the map before. A submap that failed is not waited for: its operation says
+    why.
     """
 
     min_seq: int = 0
     timeout_s: float = DEFAULT_WAIT_S
+    loops: bool = False
 
     def validated(self) -> Freshness:
         """Itself. Raises BadField."""
@@ -58,15 +60,17 @@ class ReadYourWrites:
             return
         if await self._storage.read(lambda uow: _last(uow, tenant, map_id)) < min_seq:
             raise SeqNotReached(f"no submap with seq {min_seq} was stored", field="min_seq")
-        if await self._polls.has_come((tenant, map_id), min_seq, 0.0):
+        of = tenant, map_id, wanted.loops
+        if await self._polls.has_come(of, min_seq, 0.0):
             return
         with waiting() as wait:
-            if not await self._comes((tenant, map_id), wanted, wait):
+            if not await self._comes(of, wanted, wait):
+                lack = "compared" if wanted.loops else "described"
                 raise SeqNotReached(
-                    f"submaps up to seq {min_seq} are not described after {wanted.timeout_s:g} s", field="min_seq"
+                    f"submaps up to seq {min_seq} are not {lack} after {wanted.timeout_s:g} s", field="min_seq"
                 )
 
-    async def _comes(self, of: tuple[TenantId, str], wanted: Freshness, wait: Wait) -> bool:
+    async def _comes(self, of: tuple[TenantId, str, bool], wanted: Freshness, wait: Wait) -> bool:
         """Whether the barrier is reached in the time allowed, while somebody waits for it. Raises Draining."""
         deadline, pause = time.monotonic() + wanted.timeout_s, _PAUSE_S[0]
         while (left := deadline - time.monotonic()) > 0.0 and not wait.abandoned:
@@ -82,9 +86,12 @@ def _last(uow: UnitOfWork, tenant: TenantId, map_id: str) -> int:
     return uow.submaps.last_number(tenant)
 
 
-def _not_described(uow: UnitOfWork, of: tuple[TenantId, str], min_seqs: frozenset[int]) -> frozenset[int]:
-    """Those numbers up to which a submap of the map waits. Raises NotFound."""
-    tenant, map_id = of
+def _not_described(uow: UnitOfWork, of: tuple[TenantId, str, bool], min_seqs: frozenset[int]) -> frozenset[int]:
+    """Those numbers up to which a submap of the map waits, or its loops do. Raises NotFound."""
+    tenant, map_id, loops = of
     require_map(uow, tenant, map_id)
-    first = uow.submaps.first_waiting(tenant, map_id)
+    waiting = [uow.submaps.first_waiting(tenant, map_id)]
+    if loops:
+        waiting.append(uow.submaps.first_unsearched(tenant, map_id))
+    first = min((number for number in waiting if number is not None), default=None)
     return frozenset(() if first is None else (min_seq for min_seq in min_seqs if first <= min_seq))

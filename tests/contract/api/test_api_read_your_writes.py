@@ -12,6 +12,7 @@ import pytest
 
 from revisit import Client
 from revisit.sdk.errors import DeadlineExceeded, InvalidArgument
+from revisit.service.domain.identity import DEFAULT_TENANT
 from tests.support.campaigns import Campaign, sizes
 from tests.support.credentials import a_key
 from tests.support.fake_recogniser import CANNOT_BE_DESCRIBED
@@ -56,6 +57,26 @@ def test_every_query_says_that_it_would_miss_what_is_not_described_yet(client, s
     with pytest.raises(DeadlineExceeded) as refused:
         queries(client, town)[kind](min_seq=seq, min_seq_timeout_s=SHORT_S)
     assert (refused.value.reason, refused.value.retryable) == ("SEQ_NOT_REACHED", True)
+
+
+def test_loops_of_a_submap_are_waited_for_beyond_its_description(client, service, session, town):
+    """The search for a submap sees it as soon as it is described; the list of its loops when its job has ended."""
+    operation = client.wait(post(client, session))
+    seq = client.get_submap(operation.subject).seq
+
+    def search_on(uow, *, searched):
+        (row,) = uow.submaps.find(DEFAULT_TENANT, map_id=town.removeprefix("maps/"))
+        uow.submaps.revise([row], searched=searched)
+
+    write = service.world.context.transactions.write
+    write(partial(search_on, searched=False)).result()
+    asked = queries(client, town)
+    assert asked["by submap"](min_seq=seq) == []
+    with pytest.raises(DeadlineExceeded) as refused:
+        asked["loop closures"](min_seq=seq, min_seq_timeout_s=SHORT_S)
+    assert refused.value.reason == "SEQ_NOT_REACHED"
+    write(partial(search_on, searched=True)).result()
+    assert list(asked["loop closures"](min_seq=seq)) == []
 
 
 def test_a_query_waits_for_what_its_own_client_has_posted(client, session, town, paused):

@@ -244,6 +244,10 @@ class MemorySubmaps(MemoryRepository[SubmapRecord]):
         queued = self.find(tenant, map_id=map_id, state=SubmapState.QUEUED.value)
         return min((row.number for row in queued), default=None)
 
+    def first_unsearched(self, tenant: TenantId, map_id: str) -> int | None:
+        """See `SubmapRepository`."""
+        return min((row.number for row in self.find(tenant, map_id=map_id) if not row.searched), default=None)
+
     def flag_counts(self, tenant: TenantId, map_id: str, session_id: str) -> dict[str, int]:
         """See `SubmapRepository`."""
         rows = self.find(tenant, map_id=map_id, session_id=session_id)
@@ -340,7 +344,10 @@ class MemoryChangeLog:
 
     def record_described(self, tenant: TenantId, map_number: int, submap_number: int) -> int:
         """See `ChangeLog`."""
-        return self._append(_Change(tenant, map_number, submap_number, described=True))
+        seq = self._append(_Change(tenant, map_number, submap_number, described=True))
+        if (submap := self._submaps.by_number.get(submap_number)) is not None:
+            self._submaps.by_number[submap_number] = dataclasses.replace(submap, entered=seq)
+        return seq
 
     def record_removed(self, tenant: TenantId, map_number: int, submap_numbers: Collection[int]) -> None:
         """See `ChangeLog`."""

@@ -113,9 +113,9 @@ def test_candidates_are_verified_in_turn_from_what_the_others_predict_until_enou
         asked.append((row, initial is not None))
         return seen_at(22.0, stations[row].ordinal)
 
-    verdicts = verify_in_turn(PredictedPoses(stations, CONFIG), 4, verify, {1: seen_at(22.0, 5)})
-    assert list(verdicts) == [0, 1] and asked == [(0, False)]
+    verdicts = verify_in_turn(PredictedPoses(stations, CONFIG), 4, verify)
+    assert list(verdicts) == [0, 1] and asked == [(0, False), (1, True)]
     asked.clear()
     every = replace(DEFAULT, loop=replace(DEFAULT.loop, enough=0))
-    assert list(verify_in_turn(PredictedPoses(stations, every), 4, verify, {})) == [0, 1, 2, 3]
+    assert list(verify_in_turn(PredictedPoses(stations, every), 4, verify)) == [0, 1, 2, 3]
     assert asked == [(0, False), (1, True), (2, True), (3, True)]
