@@ -22,6 +22,7 @@ from sqlalchemy import (
     Row,
     Select,
     Table,
+    TextClause,
     Text,
     Update,
     and_,
@@ -300,7 +301,7 @@ class SqlSubmaps(SqlRepository[SubmapRecord]):
         # The condition of the partial index, word for word.
         return self._first(of_tenant(tenant, {"map_id": map_id}), text(tables.UNSEARCHED))
 
-    def _first(self, asked: Asked, *further: ColumnElement[bool]) -> int | None:
+    def _first(self, asked: Asked, *further: TextClause) -> int | None:
         query = select(func.min(tables.submaps.c.number)).where(self._where(asked), *further)
         first: int | None = self._connection.execute(query, asked).scalar_one()
         return first

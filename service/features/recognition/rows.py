@@ -97,7 +97,8 @@ class Entry:
         # A late run must not trip over the rows of the run that overtook it.
         uow.queue.require(self.lease)
         row = self.described.row
-        if row.number not in uow.submaps.found(row.tenant, [row.number]):
+        known = uow.submaps.get(row.tenant, row.map_id, row.session_id, row.submap_id, hold=True)
+        if known is None or known.number != row.number:
             return
         current = require_map(uow, row.tenant, row.map_id)
         if current.model_version not in (None, row.model_version):
