@@ -120,7 +120,7 @@ def test_a_cloud_is_searched_for_where_it_is_said_to_be(world, storey, sessions,
 def test_a_session_that_came_while_a_submap_was_described_is_compared_by_its_storey(
     world, monkeypatch, storeys, closed
 ):
-    """Both workers search before either commits, so the filter that was read first knows nothing of the other."""
+    """The first worker searches before the other session is there, and commits behind it."""
     first, second = world.worker(), world.worker()
 
     async def waiting(key, storey):
@@ -132,9 +132,9 @@ def test_a_session_that_came_while_a_submap_was_described_is_compared_by_its_sto
     lease = world.claim()
     recall, done = PlaceMemory.recall, []
 
-    def meanwhile(*args):
+    def meanwhile(*args, **further):
         """The other session comes, and is described, behind the first search and before its commit."""
-        found = recall(*args)
+        found = recall(*args, **further)
         if not done:
             done.append(True)
             asyncio.run(waiting(SECOND, storeys[1]))
