@@ -5,17 +5,16 @@ from __future__ import annotations
 from collections.abc import AsyncIterator
 from dataclasses import fields
 
-from revisit.service.calls.operations import failure_fields
 from revisit.service.domain.identity import TenantId
 from revisit.service.domain.loop_policy import LoopPolicy
-from revisit.service.domain.records import SessionDetails
+from revisit.service.domain.records import RobotRecord, SessionDetails
 from revisit.service.features.catalogue.maps import CreateMap, MapView
-from revisit.service.features.catalogue.robots import CreateRobot, RobotView
+from revisit.service.features.catalogue.robots import CreateRobot
 from revisit.service.features.catalogue.sessions import CreateSession, SessionView
 from revisit.service.features.resources.views import SubmapView
 from revisit.service.use_cases import UseCases
 from revisit.service.wire import names, requests
-from revisit.service.wire.fields import Fields, fields_in_map, fields_of, resource_name
+from revisit.service.wire.fields import Fields, failure_fields, fields_in_map, fields_of, resource_name
 from revisit.service.wire.rendering import Answer, Listed
 from revisit.v1 import map_pb2, robot_pb2, session_pb2, submap_pb2
 
@@ -129,9 +128,9 @@ def map_fields(view: MapView) -> Fields:
     return fields_of(map_pb2.Map, view, name=f"maps/{view.map_id}")
 
 
-def robot_fields(view: RobotView) -> Fields:
+def robot_fields(record: RobotRecord) -> Fields:
     """The fields of a Robot."""
-    return fields_of(robot_pb2.Robot, view, name=f"robots/{view.robot_id}")
+    return fields_of(robot_pb2.Robot, record, name=f"robots/{record.robot_id}")
 
 
 def session_fields(view: SessionView) -> Fields:
@@ -145,8 +144,10 @@ def submap_fields(view: SubmapView) -> Fields:
         submap_pb2.Submap,
         view,
         name=view.key.name,
-        failure=failure_fields(view.failure),
+        seq=view.number,
+        raw_bytes=12 * view.point_count,
+        failure=failure_fields(view),
         operation=f"operations/{view.operation_id}",
-        place_descriptor=None if view.descriptor is None else view.descriptor.tolist(),
+        place_descriptor=None if view.place_descriptor is None else view.place_descriptor.tolist(),
         **fields_in_map("t_map_submap", view.in_map),
     )

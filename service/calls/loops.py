@@ -7,10 +7,11 @@ from collections.abc import AsyncIterator
 from revisit.core.pose_graph.graph import GraphState
 from revisit.service.calls.operations import operation_fields
 from revisit.service.domain.identity import TenantId
+from revisit.service.domain.records import LoopEventRecord
 from revisit.service.domain.states import LoopState
 from revisit.service.features.graph.map_frames import matrix_of
 from revisit.service.features.loops.calls import LoopClosureView
-from revisit.service.features.loops.decisions import LoopEventView, ProposeLoop
+from revisit.service.features.loops.decisions import ProposeLoop
 from revisit.service.features.loops.keypoints import KeypointPlan, LoopKeypoints
 from revisit.service.use_cases import UseCases
 from revisit.service.wire import names, requests
@@ -112,9 +113,9 @@ def loop_fields(view: LoopClosureView) -> Fields:
     )
 
 
-def loop_event_fields(view: LoopEventView) -> Fields:
+def loop_event_fields(record: LoopEventRecord) -> Fields:
     """The fields of a LoopClosureEvent."""
-    return fields_of(pb.LoopClosureEvent, view)
+    return fields_of(pb.LoopClosureEvent, record)
 
 
 def keypoint_fields(view: LoopKeypoints) -> Fields:

@@ -10,7 +10,7 @@ from revisit.core.errors import BadField
 from revisit.service.calls.operations import asked_fields
 from revisit.service.domain import limits
 from revisit.service.domain.identity import TenantId
-from revisit.service.features.publishing.calls import MapFileView
+from revisit.service.domain.records import MapFileRecord
 from revisit.service.features.publishing.layout import PIECE_BYTES
 from revisit.service.features.tiles.calls import MapDistances, MapPoints, MapQuestion, MapTileView
 from revisit.service.use_cases import UseCases
@@ -96,7 +96,7 @@ async def download_map_file(
     end = request.offset + request.length if request.length else file.layout.size
     with cases.budget.hold(tenant) as held:
         await held.wait_for(PIECE_BYTES)
-        yield {"map_hash": file.view.sha256, "size_bytes": file.layout.size}
+        yield {"map_hash": file.record.sha256, "size_bytes": file.layout.size}
         async for piece in file.pieces(request.offset, end):
             yield {"data": piece}
 
@@ -122,16 +122,16 @@ def point_fields(view: MapPoints) -> Fields:
     return {"map_version": view.version, "frame": view.frame, "points": points, "total": view.total}
 
 
-def file_fields(view: MapFileView) -> Fields:
+def file_fields(record: MapFileRecord) -> Fields:
     """The fields of a MapFile."""
-    name = f"maps/{view.map_id}/files/{view.version}"
+    name = f"maps/{record.map_id}/files/{record.version}"
     return fields_of(
         map_file_pb2.MapFile,
-        view,
+        record,
         name=name,
-        map_version=str(view.version),
-        map_status=view.state.value,
-        map_descriptor=view.description,
+        map_version=str(record.version),
+        map_status=record.state,
+        map_descriptor=record.description,
         map_download_link=f"/v1/{name}:download",
-        map_hash=view.sha256,
+        map_hash=record.sha256,
     )

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from revisit.service.domain import limits
 from revisit.service.domain.identity import TenantId
+from revisit.service.domain.records import JobRecord
 from revisit.service.domain.states import OperationState
-from revisit.service.features.resources.views import OperationFailure, OperationView, PostedOperation
+from revisit.service.features.resources.views import PostedOperation
 from revisit.service.use_cases import UseCases
 from revisit.service.wire import names, requests
-from revisit.service.wire.fields import Fields, fields_of
+from revisit.service.wire.fields import Fields, failure_fields, fields_of
 from revisit.service.wire.rendering import Answer, Listed
 from revisit.v1 import operation_pb2, system_pb2
 
@@ -52,19 +53,10 @@ async def get_status(cases: UseCases, tenant: TenantId, _request: system_pb2.Get
     return fields_of(system_pb2.GetStatusResponse, status, workers=workers)
 
 
-def operation_fields(view: OperationView) -> Fields:
-    """The fields of an Operation."""
-    return fields_of(
-        operation_pb2.Operation,
-        view,
-        name=f"operations/{view.operation_id}",
-        failure=failure_fields(view.failure),
-    )
-
-
-def failure_fields(failure: OperationFailure | None) -> Fields | None:
-    """The fields of a Failure."""
-    return None if failure is None else {"reason": failure.code, "message": failure.message}
+def operation_fields(job: JobRecord) -> Fields:
+    """The fields of an Operation. Progress is that of a run: the last report of one that has ended is no news."""
+    name, progress = f"operations/{job.operation_id}", job.progress if job.state == OperationState.RUNNING else None
+    return fields_of(operation_pb2.Operation, job, name=name, failure=failure_fields(job), progress=progress)
 
 
 def asked_fields(posted: PostedOperation) -> Fields:

@@ -10,9 +10,9 @@ from revisit.service.calls.loops import loop_fields
 from revisit.service.calls.mapping import version_fields
 from revisit.service.calls.operations import operation_fields
 from revisit.service.domain.identity import TenantId
-from revisit.service.domain.webhooks import DeliveryRecord
+from revisit.service.domain.webhooks import DeliveryRecord, WebhookRecord
 from revisit.service.features.events.calls import EventView
-from revisit.service.features.webhooks.calls import CreateWebhook, WebhookView
+from revisit.service.features.webhooks.calls import CreateWebhook
 from revisit.service.use_cases import UseCases
 from revisit.service.wire import names, requests
 from revisit.service.wire.fields import Fields, fields_of
@@ -80,10 +80,10 @@ def event_fields(view: EventView) -> Fields:
     )
 
 
-def webhook_fields(view: WebhookView) -> Fields:
+def webhook_fields(record: WebhookRecord) -> Fields:
     """The fields of a Webhook."""
-    map_name = f"maps/{view.map_id}" if view.map_id else ""
-    return fields_of(webhook_pb2.Webhook, view, name=f"webhooks/{view.webhook_id}", map=map_name)
+    map_name = f"maps/{record.map_id}" if record.map_id else ""
+    return fields_of(webhook_pb2.Webhook, record, name=f"webhooks/{record.webhook_id}", map=map_name)
 
 
 def delivery_fields(record: DeliveryRecord) -> Fields:

@@ -9,7 +9,8 @@ from __future__ import annotations
 from dataclasses import dataclass, fields
 from typing import Any
 
-from revisit.service.domain.identity import TenantId
+from revisit.service.domain.identity import SessionKey, SubmapKey, TenantId
+from revisit.service.domain.states import OperationState
 
 Pose = tuple[float, ...]
 
@@ -113,6 +114,11 @@ class SessionRecord:
     stream: str | None = None
     number: int = 0
 
+    @property
+    def key(self) -> SessionKey:
+        """The key of the session."""
+        return SessionKey(self.map_id, self.session_id)
+
 
 @dataclass(frozen=True)
 class ScanRecord:
@@ -169,6 +175,11 @@ class SubmapRecord:
     searched: bool = True
     number: int = 0
 
+    @property
+    def key(self) -> SubmapKey:
+        """The key of the submap."""
+        return SubmapKey(self.map_id, self.session_id, self.submap_id)
+
 
 @dataclass(frozen=True)
 class LoopRecord:
@@ -197,6 +208,21 @@ class LoopRecord:
     graph_state: str | None = None
     manual: bool = False
     number: int = 0
+
+    @property
+    def name(self) -> str:
+        """The resource name."""
+        return f"maps/{self.map_id}/loopClosures/{self.loop_id}"
+
+    @property
+    def query(self) -> SubmapKey:
+        """The key of the submap that asked."""
+        return SubmapKey(self.map_id, self.query_session_id, self.query_submap_id)
+
+    @property
+    def match(self) -> SubmapKey:
+        """The key of the submap that was found."""
+        return SubmapKey(self.map_id, self.match_session_id, self.match_submap_id)
 
     @classmethod
     def between(cls, query: SubmapRecord, match: SubmapRecord, **fields: Any) -> LoopRecord:
@@ -393,6 +419,11 @@ class JobRecord:
     progress: dict[str, Any] | None = None
     cancel_requested: bool = False
     number: int = 0
+
+    @property
+    def done(self) -> bool:
+        """Whether it has ended, well or not."""
+        return self.state in (OperationState.DONE, OperationState.FAILED)
 
     @property
     def counted_attempts(self) -> int:

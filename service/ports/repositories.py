@@ -6,7 +6,7 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol, TypeVar
 
-from revisit.service.domain.identity import TenantId
+from revisit.service.domain.identity import SubmapKey, TenantId
 from revisit.service.domain.records import JobRecord, LoopRecord, Pose, ScanRecord, SubmapRecord
 
 R = TypeVar("R")
@@ -146,6 +146,11 @@ class FoundSubmap:
     session_id: str
     submap_id: str
     position_m: tuple[float, float, float]
+
+    @property
+    def key(self) -> SubmapKey:
+        """The key of the submap."""
+        return SubmapKey(self.map_id, self.session_id, self.submap_id)
 
 
 class FoundSubmaps(Protocol):

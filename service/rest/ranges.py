@@ -38,7 +38,7 @@ class FileInRanges(Response):
         self._budget = budget
         self._tenant = tenant
         self._file = file
-        etag = f'"{file.view.sha256}"'
+        etag = f'"{file.record.sha256}"'
         current = if_range is None or if_range == etag
         self._wanted = asked_range(byte_range, file.layout.size) if current else None
         self._known = if_none_match is not None and etag in [one.strip() for one in if_none_match.split(",")]
@@ -70,11 +70,11 @@ class FileInRanges(Response):
         await send({"type": "http.response.body", "body": b"", "more_body": False})
 
     def _name(self) -> dict[str, str]:
-        view = self._file.view
+        view = self._file.record
         return {"content-disposition": f'attachment; filename="{view.map_id}-{view.version}.rvmap"'}
 
     def _header_rows(self, headers: dict[str, str]) -> list[tuple[bytes, bytes]]:
-        every = {"accept-ranges": "bytes", "etag": f'"{self._file.view.sha256}"', **headers}
+        every = {"accept-ranges": "bytes", "etag": f'"{self._file.record.sha256}"', **headers}
         return [(name.encode(), value.encode("latin-1")) for name, value in every.items()]
 
 

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from revisit.core.geometry import se3
 from revisit.core.geometry.se3 import Matrix4
+from revisit.service.domain.records import JobRecord, Pose, SubmapRecord
 from revisit.service.features.graph.map_frames import MapPose, matrix_of
 from revisit.v1 import geometry_pb2
 
@@ -69,7 +70,7 @@ def _converter(field: FieldDescriptor) -> Callable[[Any], Any] | None:
 
 def _converter_of_one(field: FieldDescriptor) -> Callable[[Any], Any] | None:
     if field.enum_type is not None:
-        return attrgetter("value")
+        return str
     known = {_TRANSFORM: transform_fields, _VECTOR: vector_fields, _STRUCT: None, "": None}
     return known.get(_message_name(field), _part)
 
@@ -88,10 +89,11 @@ def vector_fields(values: Iterable[float]) -> Fields:
     return {"x": x, "y": y, "z": z}
 
 
-def transform_fields(T_target_source: Matrix4) -> Fields:
-    """The fields of a Transform."""
-    x, y, z, w = se3.to_quaternion(np.asarray(T_target_source)).tolist()
-    return {"translation": vector_fields(T_target_source[:3, 3]), "rotation": {"x": x, "y": y, "z": z, "w": w}}
+def transform_fields(T_target_source: Matrix4 | Pose) -> Fields:
+    """The fields of a Transform, from a (4, 4) matrix or the 16 numbers of a row."""
+    T = np.asarray(T_target_source, dtype=np.float64).reshape(4, 4)
+    x, y, z, w = se3.to_quaternion(T).tolist()
+    return {"translation": vector_fields(T[:3, 3]), "rotation": {"x": x, "y": y, "z": z, "w": w}}
 
 
 def fields_in_map(field: str, pose: MapPose | None) -> Fields:
@@ -103,6 +105,12 @@ def fields_in_map(field: str, pose: MapPose | None) -> Fields:
         "frame": None if pose is None else pose.frame,
         "map_version": None if pose is None else pose.map_version,
     }
+
+
+def failure_fields(record: JobRecord | SubmapRecord) -> Fields | None:
+    """The fields of a Failure; None where the record has none."""
+    code = record.failure_code
+    return None if code is None else {"reason": code, "message": record.failure_message or ""}
 
 
 def covariance_numbers(covariance: NDArray[np.float32]) -> list[float]:

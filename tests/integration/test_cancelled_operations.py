@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from revisit.service.calls.operations import operation_fields
 from revisit.service.features.merging.calls import MergeMap
 from tests.support.fake_merger import FakeMerger
 from tests.support.fleet_in_service import fleet_in, fleet_in_two
@@ -32,7 +33,7 @@ async def test_a_merge_that_is_cancelled_while_it_runs_changes_nothing():
     world.work_off()
     ended = await world.use_cases.operations.get(TENANT, posted.operation_id)
     assert (ended.state, ended.result) == ("DONE", {"outcome": "the operation was cancelled"})
-    assert seen == ["ALIGN"] and ended.progress is None
+    assert seen == ["ALIGN"] and operation_fields(ended)["progress"] is None
     after = world.context.transactions.read(lambda uow: (uow.maps.find(TENANT), uow.sessions.find(TENANT))).result()
     assert after == before
 

@@ -65,7 +65,7 @@ async def test_the_mesh_of_a_map_of_a_former_form_is_refused_by_name_and_the_wor
         await answered(world, asked, Reading())
     assert refused.value.code == "DATA_LOSS"
     listed = (await world.use_cases.operations.list(TENANT, PageRequest())).items
-    assert [one.state.value for one in listed if one.kind == "MAKE_MESH"] == ["FAILED"]
+    assert [one.state for one in listed if one.kind == "MAKE_MESH"] == ["FAILED"]
     await world.use_cases.posting.post(TENANT, submap("c", 3))
     assert world.work_off(Reading()) == 1
 

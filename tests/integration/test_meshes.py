@@ -40,7 +40,7 @@ def asked(world: World, file_format: str | None = None, **how):
 
 async def jobs_of(world: World) -> list[str]:
     listed = (await world.use_cases.operations.list(TENANT, PageRequest())).items
-    return [one.state.value for one in listed if one.kind == "MAKE_MESH"]
+    return [one.state for one in listed if one.kind == "MAKE_MESH"]
 
 
 async def some_job(world: World):

@@ -146,4 +146,4 @@ async def test_a_match_deleted_during_verification_makes_no_loop(world):
     world.worker(DeletesTheMatch()).run(world.claim())
     assert await accepted(world) == []
     described = await world.use_cases.submaps.get(TENANT, SubmapKey("town", "monday", "c"))
-    assert described.state is SubmapState.DESCRIBED
+    assert described.state == SubmapState.DESCRIBED

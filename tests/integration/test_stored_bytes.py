@@ -90,7 +90,7 @@ async def test_what_people_are_told_of_a_rejected_pair_is_kept(world, rejected):
     await stored_pairs(world, rejected)
     loop = (await world.use_cases.loops.list(TENANT, "town", PageRequest(), state=LoopState.REJECTED)).items[0]
     known = verdict_evidence(rejected, CONFIG.verification)
-    np.testing.assert_array_equal(loop.T_match_query, rejected.measurement.T_match_query)
+    np.testing.assert_array_equal(loop.T_match_query, rejected.measurement.T_match_query.ravel())
     assert loop.evidence["thresholds"] == known["thresholds"]
     assert loop.evidence["thresholds_version"] == known["thresholds_version"]
     kept, known = loop.evidence["measurement"], known["measurement"]

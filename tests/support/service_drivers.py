@@ -93,7 +93,7 @@ class UseCaseDriver:
     def submaps(self, session: SessionKey) -> dict[str, str]:
         """The state of each submap of a session."""
         views = self._page(self._world.use_cases.submaps.list, TENANT, session)
-        return {view.key.submap_id: view.state.value for view in views}
+        return {view.key.submap_id: view.state for view in views}
 
     def searched(self, map_id: str) -> int:
         """How many submaps of the map a search went through."""

@@ -42,25 +42,13 @@ class CreateMap:
     profile: str = Profile.PRODUCT
 
 
-@dataclass(frozen=True)
-class MapView:
-    """A map as clients see it; `tau_m`, `stride_m`, `leave_distance_m` and `loop_policy` are the values in force.
+@dataclass(frozen=True, kw_only=True)
+class MapView(MapRecord):
+    """A map; `tau_m`, `stride_m`, `leave_distance_m` and `loop_policy` are the values in force."""
 
-    `map_version` is the version of its poses that answers rest on, 0 before the first.
-    """
-
-    map_id: str
-    display_name: str
-    tau_m: float
-    stride_m: float
-    leave_distance_m: float
-    scene_scale: float
     session_count: int
     submap_count: int
-    created_at_ns: int
-    loop_policy: LoopPolicy = LoopPolicy()
-    map_version: int = 0
-    profile: str = Profile.PRODUCT
+    loop_policy: LoopPolicy
 
 
 @dataclass(frozen=True)
@@ -148,19 +136,16 @@ class Maps:
 
     def _view(self, uow: UnitOfWork, record: MapRecord) -> MapView:
         config = self._context.policy.for_map(record)
+        in_force = {
+            "tau_m": config.submap.tau,
+            "stride_m": config.submap.stride,
+            "leave_distance_m": config.loop.leave_distance,
+        }
         return MapView(
-            map_id=record.map_id,
-            display_name=record.display_name,
-            tau_m=config.submap.tau,
-            stride_m=config.submap.stride,
-            leave_distance_m=config.loop.leave_distance,
-            scene_scale=config.scene_scale,
+            **{**vars(record), **in_force},
             session_count=uow.sessions.count(record.tenant, map_id=record.map_id),
             submap_count=uow.submaps.count(record.tenant, map_id=record.map_id),
-            created_at_ns=record.created_at_ns,
             loop_policy=policy_in_force(config),
-            map_version=record.map_version,
-            profile=record.profile,
         )
 
 

@@ -8,7 +8,7 @@ from functools import partial
 from revisit.service.domain.identity import TenantId, content_hash, validated_id, validated_label
 from revisit.service.domain.records import RobotRecord
 from revisit.service.features.resources.call_context import CallContext
-from revisit.service.features.resources.paging import Page, PageRequest
+from revisit.service.features.resources.paging import Page, PageRequest, as_it_is
 from revisit.service.ports.storage import require_robot, require_same_content
 from revisit.service.ports.transactions import UnitOfWork
 
@@ -22,19 +22,10 @@ class CreateRobot:
 
 
 @dataclass(frozen=True)
-class RobotView:
-    """A robot as clients see it."""
-
-    robot_id: str
-    display_name: str
-    created_at_ns: int
-
-
-@dataclass(frozen=True)
 class CreatedRobot:
     """The robot, and whether an earlier identical request had created it."""
 
-    robot: RobotView
+    robot: RobotRecord
     replay: bool
 
 
@@ -60,27 +51,23 @@ class Robots:
         )
         return await self._context.storage.write(partial(_add, record=record))
 
-    async def get(self, tenant: TenantId, robot_id: str) -> RobotView:
+    async def get(self, tenant: TenantId, robot_id: str) -> RobotRecord:
         """Raises NotFound."""
-        return _view(await self._context.storage.read(partial(require_robot, tenant=tenant, robot_id=robot_id)))
+        return await self._context.storage.read(partial(require_robot, tenant=tenant, robot_id=robot_id))
 
-    async def list(self, tenant: TenantId, page: PageRequest) -> Page[RobotView]:
+    async def list(self, tenant: TenantId, page: PageRequest) -> Page[RobotRecord]:
         """The tenant's robots, oldest first."""
         return await self._context.lists.page(
             tenant,
             page,
             lambda uow, after, limit: uow.robots.find(tenant, after=after, limit=limit),
-            lambda _, row: _view(row),
+            as_it_is,
         )
 
 
 def _add(uow: UnitOfWork, record: RobotRecord) -> CreatedRobot:
     known = uow.robots.get(record.tenant, record.robot_id)
     if known is None:
-        return CreatedRobot(_view(uow.robots.add(record)), replay=False)
+        return CreatedRobot(uow.robots.add(record), replay=False)
     require_same_content(known.content_hash, record.content_hash, f"robot {record.robot_id}")
-    return CreatedRobot(_view(known), replay=True)
-
-
-def _view(record: RobotRecord) -> RobotView:
-    return RobotView(record.robot_id, record.display_name, record.created_at_ns)
+    return CreatedRobot(known, replay=True)

@@ -57,23 +57,15 @@ class CreateSession(SessionDetails):
         return {name: validated_detail(value, name) for name, value in SessionDetails.of(self).items()}
 
 
-@dataclass(frozen=True)
-class SessionView(SessionDetails):
-    """A session as clients see it.
+@dataclass(frozen=True, kw_only=True)
+class SessionView(SessionRecord):
+    """A session; `committed_stamp_ns` is when the scan `committed_seq` was taken.
 
-    `committed_seq` is the last scan stored durably, 0 for none; `committed_stamp_ns` is when that one was taken.
     `findings` are those of its submaps so far, the most frequent first, then those that the version of the map in force
     has of its odometry. `no_loops` says why a finished session has no loop. Neither is in lists of sessions.
     """
 
-    key: SessionKey
-    robot_id: str | None
-    state: SessionState
-    committed_seq: int
-    travelled_m: float
     submap_count: int
-    created_at_ns: int
-    finished_at_ns: int | None
     committed_stamp_ns: int | None
     findings: tuple[SessionFinding, ...] = ()
     no_loops: NoLoops | None = None
@@ -207,14 +199,7 @@ def _delete(uow: UnitOfWork, key: SessionKey, entry: AuditEntry, at_ns: int) -> 
 def _view(uow: UnitOfWork, record: SessionRecord) -> SessionView:
     last = uow.scans.get(record.tenant, record.map_id, record.session_id, record.committed_seq)
     return SessionView(
-        key=SessionKey(record.map_id, record.session_id),
-        robot_id=record.robot_id,
-        state=SessionState(record.state),
-        committed_seq=record.committed_seq,
-        travelled_m=record.travelled_m,
+        **vars(record),
         submap_count=uow.submaps.count(record.tenant, map_id=record.map_id, session_id=record.session_id),
-        created_at_ns=record.created_at_ns,
-        finished_at_ns=record.finished_at_ns,
         committed_stamp_ns=None if last is None else last.stamp_ns,
-        **SessionDetails.of(record),
     )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from typing import Protocol
 
@@ -31,8 +31,8 @@ from revisit.service.features.deletion.rows import delete_submap
 from revisit.service.features.graph.map_frames import MapFrames, submap_in_map
 from revisit.service.features.ingest.rows import SubmapSource, submap_source
 from revisit.service.features.resources.call_context import CallContext
-from revisit.service.features.resources.paging import Page, PageRequest
-from revisit.service.features.resources.views import SubmapView, submap_view
+from revisit.service.features.resources.paging import Page, PageRequest, as_it_is
+from revisit.service.features.resources.views import SubmapView
 from revisit.service.ports.storage import (
     require_descriptor,
     require_map,
@@ -62,15 +62,15 @@ class Submaps:
 
     async def get(self, tenant: TenantId, key: SubmapKey, *, full: bool = False) -> SubmapView:
         """The submap, with its descriptor where `full`. Raises NotFound; DataLoss where that is damaged."""
-        record, view = await self._context.storage.read(partial(_seen, tenant=tenant, key=key))
-        if not full or record.state != SubmapState.DESCRIBED:
+        view = await self._context.storage.read(partial(_seen, tenant=tenant, key=key))
+        if not full or view.state != SubmapState.DESCRIBED:
             return view
-        return replace(view, descriptor=np.frombuffer(require_descriptor(record), dtype="<f4").astype(np.float32))
+        return replace(view, place_descriptor=np.frombuffer(require_descriptor(view), dtype="<f4").astype(np.float32))
 
     async def list(self, tenant: TenantId, session: SessionKey, page: PageRequest) -> Page[SubmapView]:
         """The submaps of a session in their order. Raises NotFound for the session."""
         find = partial(_of_session, tenant=tenant, session=session)
-        return await self._context.lists.page(tenant, page, find, lambda _, row: row.view)
+        return await self._context.lists.page(tenant, page, find, as_it_is)
 
     async def delete(self, tenant: TenantId, key: SubmapKey) -> None:
         """Delete a submap, its loop closures and its entry in the index. Raises NotFound, Draining."""
@@ -115,25 +115,17 @@ class Submaps:
         return record, submap_source(uow, self._context.policy, record)
 
 
-def _seen(uow: UnitOfWork, tenant: TenantId, key: SubmapKey) -> tuple[SubmapRecord, SubmapView]:
+def _seen(uow: UnitOfWork, tenant: TenantId, key: SubmapKey) -> SubmapView:
     record = require_submap(uow, tenant, key)
-    return record, submap_view(record, submap_in_map(uow, record))
+    return SubmapView.of(record, submap_in_map(uow, record))
 
 
-@dataclass(frozen=True)
-class _Row:
-    """A row of the list: a submap's number, and the view of it."""
-
-    number: int
-    view: SubmapView
-
-
-def _of_session(uow: UnitOfWork, after: int, limit: int, *, tenant: TenantId, session: SessionKey) -> list[_Row]:
+def _of_session(uow: UnitOfWork, after: int, limit: int, *, tenant: TenantId, session: SessionKey) -> list[SubmapView]:
     require_session(uow, tenant, session)
     of_session = {"map_id": session.map_id, "session_id": session.session_id}
     records = uow.submaps.find(tenant, after=after, limit=limit, **of_session)
     frames = MapFrames(uow, tenant, session.map_id)
-    return [_Row(record.number, submap_view(record, frames.submap(record))) for record in records]
+    return [SubmapView.of(record, frames.submap(record)) for record in records]
 
 
 def _delete(uow: UnitOfWork, key: SubmapKey, entry: AuditEntry, at_ns: int) -> set[Blob]:

@@ -12,11 +12,11 @@ from revisit.service.capacity.limits import BATCHES_AT_A_TIME
 from revisit.service.domain.errors import NotFound
 from revisit.service.domain.events import EventRecord
 from revisit.service.domain.identity import TenantId
+from revisit.service.domain.records import JobRecord
 from revisit.service.domain.states import EventKind
-from revisit.service.features.loops.calls import LoopClosureView, loop_view
+from revisit.service.features.loops.calls import LoopClosureView
 from revisit.service.features.optimisation.calls import MapVersionView, version_seen
 from revisit.service.features.resources.call_context import CallContext
-from revisit.service.features.resources.views import OperationView, operation_view
 from revisit.service.features.waiting.event_tail import AGAIN_S, EventTail
 from revisit.service.ports.storage import require_map
 from revisit.service.ports.transactions import UnitOfWork
@@ -40,7 +40,7 @@ class EventView:
     kind: EventKind
     map_id: str
     loop: LoopClosureView | None = None
-    operation: OperationView | None = None
+    operation: JobRecord | None = None
     map_version: MapVersionView | None = None
 
 
@@ -122,10 +122,10 @@ def _event_of(uow: UnitOfWork, row: EventRecord) -> EventView | None:
     kind = EventKind(row.kind)
     if kind is EventKind.LOOP_CLOSURE:
         loop = uow.loops.get(row.tenant, row.map_id, row.subject)
-        return None if loop is None else EventView(row.number, kind, row.map_id, loop=loop_view(loop))
+        return None if loop is None else EventView(row.number, kind, row.map_id, loop=LoopClosureView.of(loop))
     if kind is EventKind.OPERATION:
         job = uow.jobs.get(row.tenant, row.subject)
-        return None if job is None else EventView(row.number, kind, row.map_id, operation=operation_view(job))
+        return None if job is None else EventView(row.number, kind, row.map_id, operation=job)
     if kind is EventKind.MAP_VERSION:
         try:
             version = version_seen(uow, row.tenant, row.map_id, int(row.subject))

@@ -10,7 +10,6 @@ from revisit.core.pair_verdict import InitialPose, PairVerdict, RejectedLoop, Re
 from revisit.service.domain.records import MapRecord, SubmapRecord
 from revisit.service.features.catalogue.maps import model_for_map
 from revisit.service.features.index.place_memory import RecalledPlace
-from revisit.service.features.resources.views import submap_key
 from revisit.service.ports.blobs import PLACE_BLOB, BlobStore
 from revisit.service.ports.recogniser import PlaceRecogniser
 
@@ -37,7 +36,7 @@ class Comparison:
             asked = query if isinstance(query, bytes) else self._place(query)
             return self._recogniser.verify(asked, self._place(match.submap), match.similarity, config, initial)
         except DataLoss as error:
-            pair = [submap_key(one).name for one in (query, match.submap) if isinstance(one, SubmapRecord)]
+            pair = [one.key.name for one in (query, match.submap) if isinstance(one, SubmapRecord)]
             log.error("place_lost", submaps=pair, reason=error.message)
             return RejectedLoop(RejectionReason.PLACE_LOST, message=error.message)
 

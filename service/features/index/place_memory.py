@@ -19,7 +19,6 @@ from revisit.service.features.catalogue.storeys import comparable_sessions, stor
 from revisit.service.features.graph.map_frames import KeptSessions, MapFrames
 from revisit.service.features.index.answers import SearchCriteria, SearchHit, SearchResult
 from revisit.service.features.index.own_drive import candidates_of
-from revisit.service.features.resources.views import submap_key
 from revisit.service.ports.index import IndexChange, VectorFilter, VectorIndex, VectorMatch
 from revisit.service.ports.transactions import Transactions, UnitOfWork
 
@@ -229,8 +228,7 @@ def _hits(
     poses = MapFrames(uow, map_record.tenant, map_record.map_id, kept, as_of).submaps(submaps)
     found = ((submaps[match.submap_number], match) for match in matches if match.submap_number in submaps)
     return tuple(
-        SearchHit(submap_key(submap), match.similarity, submap.position_m, poses.get(submap.number))
-        for submap, match in found
+        SearchHit(submap.key, match.similarity, submap.position_m, poses.get(submap.number)) for submap, match in found
     )
 
 

@@ -22,7 +22,7 @@ from revisit.service.domain.identity import (
     content_hash,
     validated_id,
 )
-from revisit.service.domain.records import SessionRecord, SubmapRecord
+from revisit.service.domain.records import JobRecord, SessionRecord, SubmapRecord
 from revisit.service.domain.states import OperationKind, SubmapState
 from revisit.service.failpoints import failpoint
 from revisit.service.features.ingest.clouds import (
@@ -34,7 +34,7 @@ from revisit.service.features.ingest.clouds import (
     reading_points,
 )
 from revisit.service.features.resources.call_context import CallContext
-from revisit.service.features.resources.views import OperationView, SubmapView, operation_view, submap_view
+from revisit.service.features.resources.views import SubmapView
 from revisit.service.ports.blobs import CLOUD_BLOB
 from revisit.service.ports.storage import (
     require_active,
@@ -60,7 +60,7 @@ class PostedSubmap:
     """A durable submap and the operation that describes it. `report` is None on a replay."""
 
     submap: SubmapView
-    operation: OperationView
+    operation: JobRecord
     replay: bool
     report: CloudReport | None
 
@@ -136,7 +136,7 @@ def add_submap(
 def posted_submap(uow: UnitOfWork, record: SubmapRecord, *, replay: bool, report: CloudReport | None) -> PostedSubmap:
     """The answer to a post. Raises NotFound where the operation's record is gone."""
     job = require_job(uow, record.tenant, record.operation_id)
-    return PostedSubmap(submap_view(record), operation_view(job), replay, report)
+    return PostedSubmap(SubmapView.of(record), job, replay, report)
 
 
 def _replayed(uow: UnitOfWork, row: SubmapRecord) -> PostedSubmap | None:

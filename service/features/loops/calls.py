@@ -5,17 +5,16 @@ from __future__ import annotations
 from collections.abc import AsyncIterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any
+from typing import Any, Self
 
-from revisit.core.geometry.se3 import Matrix4, pose_matrix
 from revisit.core.pose_graph.graph import GraphState
 from revisit.service.domain.errors import NotFound
-from revisit.service.domain.identity import SessionKey, SubmapKey, TenantId
+from revisit.service.domain.identity import SessionKey, TenantId
 from revisit.service.domain.records import LoopRecord
 from revisit.service.domain.states import LoopState
 from revisit.service.features.graph.map_frames import LoopInMap, MapFrames
 from revisit.service.features.resources.call_context import CallContext
-from revisit.service.features.resources.paging import Page, PageRequest
+from revisit.service.features.resources.paging import Page, PageRequest, as_it_is
 from revisit.service.features.waiting.event_tail import EventTail
 from revisit.service.features.waiting.freshness import Freshness, ReadYourWrites
 from revisit.service.ports.storage import require_map, require_session
@@ -27,37 +26,16 @@ _LAST_NUMBER = 2**63 - 1
 _WATCH_BATCH = 100
 
 
-@dataclass(frozen=True)
-class LoopClosureView:
-    """A loop closure as clients see it.
+@dataclass(frozen=True, kw_only=True)
+class LoopClosureView(LoopRecord):
+    """A loop closure; `in_map` is there where the version of the map in force has both submaps in one frame."""
 
-    `T_match_query` (4, 4) maps points of the query submap's frame into the match submap's frame, None where the
-    candidate was rejected before an alignment existed; `reason` says which gate rejected it; `evidence` holds the
-    measurements (inliers, overlap, residual, covariance), and the model version as JSON.
-    `number` grows with every closure of the service: it orders them and resumes a watch. `graph_state` is the verdict
-    of the version of the map in force, `in_map` where that has both submaps in one frame; `manual`: a person made it.
-    """
-
-    loop_id: str
-    number: int
-    map_id: str
-    query: SubmapKey
-    match: SubmapKey
-    state: LoopState
-    reason: str | None
-    similarity: float
-    score: float
-    T_match_query: Matrix4 | None
-    evidence: dict[str, Any]
-    created_at_ns: int
-    graph_state: GraphState | None = None
-    manual: bool = False
     in_map: LoopInMap | None = None
 
-    @property
-    def name(self) -> str:
-        """The resource name."""
-        return f"maps/{self.map_id}/loopClosures/{self.loop_id}"
+    @classmethod
+    def of(cls, record: LoopRecord, in_map: LoopInMap | None = None) -> Self:
+        """The view of a row."""
+        return cls(**vars(record), in_map=in_map)
 
 
 class Loops:
@@ -93,7 +71,7 @@ class Loops:
         await self._writes.reached(tenant, map_id, replace(fresh, loops=True))
         wanted = Wanted(map_id, state, session_id, graph_state, reason or None)
         find = partial(_views, tenant=tenant, wanted=wanted)
-        return await self._context.lists.page(tenant, page, find, lambda _, view: view)
+        return await self._context.lists.page(tenant, page, find, as_it_is)
 
     async def watch(
         self, tenant: TenantId, map_id: str, after: int = 0, session_id: str | None = None
@@ -143,31 +121,10 @@ class Wanted:
         return {name: str(value) for name, value in asked.items() if value is not None}
 
 
-def loop_view(record: LoopRecord, in_map: LoopInMap | None = None) -> LoopClosureView:
-    """The client's view of a loop closure."""
-    return LoopClosureView(
-        loop_id=record.loop_id,
-        number=record.number,
-        map_id=record.map_id,
-        query=SubmapKey(record.map_id, record.query_session_id, record.query_submap_id),
-        match=SubmapKey(record.map_id, record.match_session_id, record.match_submap_id),
-        state=LoopState(record.state),
-        reason=record.reason,
-        similarity=record.similarity,
-        score=record.score,
-        T_match_query=None if record.T_match_query is None else pose_matrix(record.T_match_query),
-        evidence=record.evidence,
-        created_at_ns=record.created_at_ns,
-        graph_state=None if record.graph_state is None else GraphState(record.graph_state),
-        manual=record.manual,
-        in_map=in_map,
-    )
-
-
 def loop_seen(uow: UnitOfWork, record: LoopRecord) -> LoopClosureView:
     """The client's view of a loop closure, with where the map has it."""
     in_map = MapFrames(uow, record.tenant, record.map_id).loops([record])
-    return loop_view(record, in_map.get(record.number))
+    return LoopClosureView.of(record, in_map.get(record.number))
 
 
 def _seen(uow: UnitOfWork, tenant: TenantId, map_id: str, loop_id: str) -> LoopClosureView:
@@ -188,4 +145,4 @@ def _views(uow: UnitOfWork, after: int, limit: int, *, tenant: TenantId, wanted:
         require_session(uow, tenant, SessionKey(wanted.map_id, wanted.session_id))
     records = uow.loops.find(tenant, after=after, limit=limit, **wanted.equals())
     in_map = MapFrames(uow, tenant, wanted.map_id).loops(records)
-    return [loop_view(record, in_map.get(record.number)) for record in records]
+    return [LoopClosureView.of(record, in_map.get(record.number)) for record in records]

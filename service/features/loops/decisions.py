@@ -8,12 +8,11 @@ from typing import Any
 
 from revisit.core.errors import BadField
 from revisit.core.geometry import se3
-from revisit.core.geometry.se3 import Matrix4, pose_matrix, pose_row
-from revisit.core.pose_graph.graph import GraphState
+from revisit.core.geometry.se3 import Matrix4, pose_row
 from revisit.service.domain.callers import current_actor
 from revisit.service.domain.errors import AlreadyExists, NotReady
 from revisit.service.domain.identity import SubmapKey, TenantId, content_hash, validated_note
-from revisit.service.domain.records import LoopEventRecord, LoopRecord, SubmapRecord
+from revisit.service.domain.records import JobRecord, LoopEventRecord, LoopRecord, SubmapRecord
 from revisit.service.domain.states import LoopEventKind, LoopState, OperationKind, SubmapState
 from revisit.service.features.audit import calls as audit
 from revisit.service.features.graph.edits import note_edit
@@ -21,8 +20,7 @@ from revisit.service.features.graph.posting import optimise_soon
 from revisit.service.features.loops.calls import LoopClosureView, loop_seen, require_loop
 from revisit.service.features.loops.rows import Change, add_loop, before_last_decision, change_loop
 from revisit.service.features.resources.call_context import CallContext
-from revisit.service.features.resources.paging import Page, PageRequest
-from revisit.service.features.resources.views import OperationView, operation_view
+from revisit.service.features.resources.paging import Page, PageRequest, as_it_is
 from revisit.service.ports.storage import require_job, require_map, require_submap
 from revisit.service.ports.transactions import UnitOfWork
 
@@ -45,25 +43,8 @@ class ProposedLoop:
     """The loop, the operation that verifies it, and whether an earlier identical request had made it."""
 
     loop: LoopClosureView
-    operation: OperationView
+    operation: JobRecord
     replay: bool
-
-
-@dataclass(frozen=True)
-class LoopEventView:
-    """A change of a loop as clients see it (see `LoopEventRecord`)."""
-
-    number: int
-    kind: LoopEventKind
-    state: LoopState
-    reason: str | None
-    graph_state: GraphState | None
-    T_match_query: Matrix4 | None
-    actor: str
-    note: str
-    map_version: int
-    details: dict[str, Any]
-    at_ns: int
 
 
 class LoopDecisions:
@@ -101,10 +82,10 @@ class LoopDecisions:
             partial(self._propose, tenant=tenant, command=command, T=T, actor=actor)
         )
 
-    async def events(self, tenant: TenantId, map_id: str, loop_id: str, page: PageRequest) -> Page[LoopEventView]:
+    async def events(self, tenant: TenantId, map_id: str, loop_id: str, page: PageRequest) -> Page[LoopEventRecord]:
         """The changes of a loop, oldest first. Raises NotFound."""
         find = partial(_events, tenant=tenant, map_id=map_id, loop_id=loop_id)
-        return await self._context.lists.page(tenant, page, find, lambda _, record: _view(record))
+        return await self._context.lists.page(tenant, page, find, as_it_is)
 
     async def _decide(
         self, tenant: TenantId, map_id: str, loop_id: str, kind: LoopEventKind, note: str
@@ -139,7 +120,7 @@ class LoopDecisions:
             first = uow.loop_events.find(tenant, limit=1, map_id=query.map_id, loop_id=known[-1].loop_id)[0]
             if first.details["content_hash"] == asked:
                 job = require_job(uow, tenant, str(first.details["operation"]))
-                return ProposedLoop(loop_seen(uow, known[-1]), operation_view(job), replay=True)
+                return ProposedLoop(loop_seen(uow, known[-1]), job, replay=True)
             if known[-1].state != LoopState.REJECTED:
                 raise AlreadyExists(f"loop {known[-1].loop_id} joins the two submaps already")
         loop = _new_loop(query, match, len(known) + 1, T, self._context.clock.wall_ns())
@@ -152,7 +133,7 @@ class LoopDecisions:
         job = self._context.jobs.post(uow, loop.tenant, OperationKind.VERIFY_LOOP, subject, payload)
         details = {"content_hash": asked, "operation": job.operation_id}
         added = add_loop(uow, loop, replace(change, details=details))
-        return ProposedLoop(loop_seen(uow, added), operation_view(job), replay=False)
+        return ProposedLoop(loop_seen(uow, added), job, replay=False)
 
 
 def _fields_after(uow: UnitOfWork, loop: LoopRecord, kind: LoopEventKind) -> dict[str, Any]:
@@ -204,19 +185,3 @@ def _events(
 ) -> list[LoopEventRecord]:
     require_loop(uow, tenant, map_id, loop_id)
     return uow.loop_events.find(tenant, after=after, limit=limit, map_id=map_id, loop_id=loop_id)
-
-
-def _view(record: LoopEventRecord) -> LoopEventView:
-    return LoopEventView(
-        number=record.number,
-        kind=LoopEventKind(record.kind),
-        state=LoopState(record.state),
-        reason=record.reason,
-        graph_state=None if record.graph_state is None else GraphState(record.graph_state),
-        T_match_query=None if record.T_match_query is None else pose_matrix(record.T_match_query),
-        actor=record.actor,
-        note=record.note,
-        map_version=record.map_version,
-        details=record.details,
-        at_ns=record.at_ns,
-    )

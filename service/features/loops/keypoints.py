@@ -12,15 +12,15 @@ from numpy.typing import NDArray
 from revisit.core.config import VerificationConfig
 from revisit.core.geometry import se3
 from revisit.core.geometry.se2 import PlanarPose
-from revisit.core.geometry.se3 import Matrix4
+from revisit.core.geometry.se3 import Matrix4, pose_matrix
 from revisit.core.place import Place
 from revisit.core.place.correspondences import Correspondences, correspond
 from revisit.service.capacity.in_flight import Turns
 from revisit.service.capacity.limits import COMPARISON_POINTS, COMPARISONS_AT_A_TIME
 from revisit.service.domain.errors import NotReady
 from revisit.service.domain.identity import SubmapKey, TenantId
-from revisit.service.domain.records import SubmapRecord
-from revisit.service.features.loops.calls import LoopClosureView, loop_view, require_loop
+from revisit.service.domain.records import LoopRecord, SubmapRecord
+from revisit.service.features.loops.calls import require_loop
 from revisit.service.features.resources.call_context import CallContext
 from revisit.service.ports.blobs import PLACE_BLOB, BlobStore
 from revisit.service.ports.storage import require_submap
@@ -70,19 +70,19 @@ class LoopKeypointReading:
 
 def _pair(
     uow: UnitOfWork, *, tenant: TenantId, map_id: str, loop_id: str
-) -> tuple[LoopClosureView, SubmapRecord, SubmapRecord]:
-    loop = loop_view(require_loop(uow, tenant, map_id, loop_id))
+) -> tuple[LoopRecord, SubmapRecord, SubmapRecord]:
+    loop = require_loop(uow, tenant, map_id, loop_id)
     return loop, require_submap(uow, tenant, loop.query), require_submap(uow, tenant, loop.match)
 
 
 def _read(
-    blobs: BlobStore, loop: LoopClosureView, query: SubmapRecord, match: SubmapRecord, config: VerificationConfig
+    blobs: BlobStore, loop: LoopRecord, query: SubmapRecord, match: SubmapRecord, config: VerificationConfig
 ) -> LoopKeypoints:
     of_query, of_match = _place(blobs, query), _place(blobs, match)
     found = _compared(of_query, of_match, config)
     agrees = np.zeros(len(found), dtype=bool)
     if loop.T_match_query is not None:
-        agrees = found.agreeing(_planar(of_query, of_match, loop.T_match_query), config)
+        agrees = found.agreeing(_planar(of_query, of_match, pose_matrix(loop.T_match_query)), config)
     return LoopKeypoints(_plan(loop.query, of_query), _plan(loop.match, of_match), found.pairs, agrees)
 
 

@@ -27,8 +27,8 @@ from revisit.service.features.merging.reading import require_comparable
 from revisit.service.features.optimisation.calls import restore_version
 from revisit.service.features.optimisation.rows import MAP_REVERTED
 from revisit.service.features.resources.call_context import CallContext
-from revisit.service.features.resources.paging import Page, PageRequest
-from revisit.service.features.resources.views import PostedOperation, operation_view
+from revisit.service.features.resources.paging import Page, PageRequest, as_it_is
+from revisit.service.features.resources.views import PostedOperation
 from revisit.service.ports.storage import require_map, require_session
 from revisit.service.ports.transactions import UnitOfWork
 
@@ -92,9 +92,7 @@ class MapMerges:
 
     async def list(self, tenant: TenantId, map_id: str, page: PageRequest) -> Page[MapMergeRecord]:
         """The merges into a map, oldest first, those taken back too. Raises NotFound for the map."""
-        return await self._context.lists.page(
-            tenant, page, partial(_merges, tenant=tenant, map_id=map_id), lambda _, one: one
-        )
+        return await self._context.lists.page(tenant, page, partial(_merges, tenant=tenant, map_id=map_id), as_it_is)
 
     async def get(self, tenant: TenantId, map_id: str, merge_id: str) -> MapMergeRecord:
         """Raises NotFound."""
@@ -123,9 +121,9 @@ class MapMerges:
         subject = f"maps/{command.map_id}"
         waiting = same_job(uow, tenant, OperationKind.MERGE_MAP, subject, payload)
         if waiting is not None:
-            return PostedOperation(operation_view(waiting), replay=True)
+            return PostedOperation(waiting, replay=True)
         posted = self._context.jobs.post(uow, tenant, OperationKind.MERGE_MAP, subject, payload)
-        return PostedOperation(operation_view(posted), replay=False)
+        return PostedOperation(posted, replay=False)
 
     def _revert(
         self, uow: UnitOfWork, map_id: str, merge_id: str, entry: AuditEntry

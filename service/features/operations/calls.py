@@ -10,10 +10,10 @@ from revisit.core.errors import BadField
 from revisit.service.capacity.call_slots import Wait, waiting
 from revisit.service.domain import limits
 from revisit.service.domain.identity import TenantId
+from revisit.service.domain.records import JobRecord
 from revisit.service.domain.states import OperationKind, OperationState
 from revisit.service.features.resources.call_context import CallContext
-from revisit.service.features.resources.paging import Page, PageRequest
-from revisit.service.features.resources.views import OperationView, operation_view
+from revisit.service.features.resources.paging import Page, PageRequest, as_it_is
 from revisit.service.features.waiting.shared_poll import SharedPoll
 from revisit.service.ports.job_queue import CANCELLED
 from revisit.service.ports.storage import require_job
@@ -33,24 +33,21 @@ class Operations:
         self._context = context
         self._polls = SharedPoll(context.storage, _unfinished)
 
-    async def get(self, tenant: TenantId, operation_id: str) -> OperationView:
+    async def get(self, tenant: TenantId, operation_id: str) -> JobRecord:
         """Raises NotFound."""
-        record = await self._context.storage.read(partial(require_job, tenant=tenant, operation_id=operation_id))
-        return operation_view(record)
+        return await self._context.storage.read(partial(require_job, tenant=tenant, operation_id=operation_id))
 
-    async def list(
-        self, tenant: TenantId, page: PageRequest, state: OperationState | None = None
-    ) -> Page[OperationView]:
+    async def list(self, tenant: TenantId, page: PageRequest, state: OperationState | None = None) -> Page[JobRecord]:
         """The tenant's operations, oldest first."""
         only: dict[str, str] = {} if state is None else {"state": state.value}
         return await self._context.lists.page(
             tenant,
             page,
             lambda uow, after, limit: uow.jobs.find(tenant, after=after, limit=limit, **only),
-            lambda _, record: operation_view(record),
+            as_it_is,
         )
 
-    async def cancel(self, tenant: TenantId, operation_id: str) -> OperationView:
+    async def cancel(self, tenant: TenantId, operation_id: str) -> JobRecord:
         """End an operation that optimises or merges maps: at once where it waits, else at its next step.
 
         One that has ended is left as it is. Raises NotFound; BadField for one of another kind; Draining.
@@ -58,7 +55,7 @@ class Operations:
         self._context.admission.require_running()
         return await self._context.storage.write(partial(self._cancel, tenant=tenant, operation_id=operation_id))
 
-    def _cancel(self, uow: UnitOfWork, tenant: TenantId, operation_id: str) -> OperationView:
+    def _cancel(self, uow: UnitOfWork, tenant: TenantId, operation_id: str) -> JobRecord:
         job = require_job(uow, tenant, operation_id)
         if job.kind not in CANCELLABLE:
             raise BadField("only what optimises or merges maps can be cancelled", field="name")
@@ -69,9 +66,9 @@ class Operations:
         elif job.state == OperationState.RUNNING and not job.cancel_requested:
             job = replace(job, cancel_requested=True)
             uow.jobs.replace(job)
-        return operation_view(job)
+        return job
 
-    async def wait(self, tenant: TenantId, operation_id: str, timeout_s: float) -> OperationView:
+    async def wait(self, tenant: TenantId, operation_id: str, timeout_s: float) -> JobRecord:
         """The operation once it has ended, or as it stands after `timeout_s` (at most 60). Raises NotFound.
 
         Returns early, as it stands, when the service stops or the client has left. Raises RateLimited where too many

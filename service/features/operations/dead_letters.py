@@ -16,7 +16,6 @@ from revisit.service.domain.identity import SubmapKey, TenantId
 from revisit.service.domain.records import JobRecord, SubmapRecord
 from revisit.service.domain.states import OperationKind, OperationState, SubmapState
 from revisit.service.features.resources.call_context import CallContext
-from revisit.service.features.resources.views import OperationView, operation_view
 from revisit.service.ports.storage import require_job, require_map
 from revisit.service.ports.transactions import UnitOfWork
 
@@ -29,7 +28,7 @@ class DeadLetters:
         self._context = context
         self._backlog = backlog
 
-    async def retry(self, tenant: TenantId, operation_id: str) -> OperationView:
+    async def retry(self, tenant: TenantId, operation_id: str) -> JobRecord:
         """Queue failed work again, with as many attempts as new work; other work is left alone.
 
         Raises NotFound, also where its submap was deleted; BadField for a search: its cloud is not kept;
@@ -38,10 +37,10 @@ class DeadLetters:
         self._context.admission.require_running()
         return await self._context.storage.write(partial(self._retry, tenant=tenant, operation_id=operation_id))
 
-    def _retry(self, uow: UnitOfWork, tenant: TenantId, operation_id: str) -> OperationView:
+    def _retry(self, uow: UnitOfWork, tenant: TenantId, operation_id: str) -> JobRecord:
         job = require_job(uow, tenant, operation_id)
         if job.state != OperationState.FAILED:
-            return operation_view(job)
+            return job
         if job.kind in QUERIES:
             raise BadField("the cloud of a search is not kept: ask again instead", field="name")
         submap = _subject(uow, job) if job.kind == OperationKind.DESCRIBE_SUBMAP else None
@@ -62,7 +61,7 @@ class DeadLetters:
         if submap is not None:
             queued_again = replace(submap, state=SubmapState.QUEUED.value, failure_code=None, failure_message=None)
             uow.submaps.replace(queued_again)
-        return operation_view(queued)
+        return queued
 
 
 def mark_subject_failed(uow: UnitOfWork, job: JobRecord, code: str, message: str) -> None:

@@ -13,7 +13,6 @@ from revisit.service.domain.records import JobRecord
 from revisit.service.domain.states import OperationKind, OperationState
 from revisit.service.features.operations.calls import Operations
 from revisit.service.features.resources.call_context import CallContext
-from revisit.service.features.resources.views import OperationView
 from revisit.service.ports.transactions import UnitOfWork
 
 Result = dict[str, Any]
@@ -42,7 +41,7 @@ class WorkerAnswers:
         block, is given its result, as nobody else is.
         """
         job = self._context.jobs.made(tenant, kind, subject, payload)
-        operation: OperationView | None = None
+        operation: JobRecord | None = None
         try:
             await self._context.storage.write(partial(self._context.jobs.enqueue, job=job))
             operation = await self._operations.wait(tenant, job.operation_id, timeout_s)
@@ -50,8 +49,8 @@ class WorkerAnswers:
             # A caller that leaves meanwhile does not undo the job: it is queued before this, or never.
             if operation is None or not operation.done:
                 await asyncio.shield(self._release(job, discard))
-        if operation.failure is not None:
-            raise error_of(operation.failure.code, operation.failure.message)
+        if operation.failure_code is not None:
+            raise error_of(operation.failure_code, operation.failure_message or "")
         if operation.result is None:
             self._context.admission.require_running()
             raise NoAnswer(f"no worker answered within {timeout_s:g} s, and the query was dropped")

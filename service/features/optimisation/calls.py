@@ -32,8 +32,8 @@ from revisit.service.features.graph.session_poses import (
 )
 from revisit.service.features.optimisation.rows import MAP_REVERTED, forget_versions, judge_loops
 from revisit.service.features.resources.call_context import CallContext
-from revisit.service.features.resources.paging import Page, PageRequest
-from revisit.service.features.resources.views import PostedOperation, operation_view
+from revisit.service.features.resources.paging import Page, PageRequest, as_it_is
+from revisit.service.features.resources.views import PostedOperation
 from revisit.service.ports.map_optimiser import AUDITED, FAULTS
 from revisit.service.ports.storage import require_map
 from revisit.service.ports.transactions import UnitOfWork
@@ -84,14 +84,14 @@ class MapVersions:
         require_map(uow, tenant, map_id)
         waiting = waiting_optimisation(uow, tenant, map_id)
         if waiting is not None:
-            return PostedOperation(operation_view(brought_forward(uow, waiting)), replay=True)
+            return PostedOperation(brought_forward(uow, waiting), replay=True)
         posted = post_optimisation(uow, tenant, map_id, self._context.policy, self._context.clock.wall_ns())
-        return PostedOperation(operation_view(posted), replay=False)
+        return PostedOperation(posted, replay=False)
 
     async def list(self, tenant: TenantId, map_id: str, page: PageRequest) -> Page[MapVersionView]:
         """The versions that are kept, oldest first. Raises NotFound for the map."""
         find = partial(_versions, tenant=tenant, map_id=map_id)
-        return await self._context.lists.page(tenant, page, find, lambda _, view: view)
+        return await self._context.lists.page(tenant, page, find, as_it_is)
 
     async def get(self, tenant: TenantId, map_id: str, version: int) -> MapVersionView:
         """Raises NotFound."""
@@ -100,7 +100,7 @@ class MapVersions:
     async def poses(self, tenant: TenantId, map_id: str, version: int, page: PageRequest) -> Page[SubmapPoseView]:
         """The submaps of a version, by session and in the order of the drive. Raises NotFound."""
         find = partial(_poses, tenant=tenant, map_id=map_id, version=version)
-        return await self._context.lists.page(tenant, page, find, lambda _, view: view)
+        return await self._context.lists.page(tenant, page, find, as_it_is)
 
     async def revert(self, tenant: TenantId, map_id: str, version: int) -> MapVersionView:
         """Bring back the rows of an earlier version as a new one; the one in force is left as it is.

@@ -21,33 +21,18 @@ from revisit.service.features.deletion.blob_references import Blob, BlobCollecto
 from revisit.service.features.optimisation.calls import version_seen
 from revisit.service.features.publishing.layout import MapLayout
 from revisit.service.features.resources.call_context import CallContext
-from revisit.service.features.resources.paging import Page, PageRequest
-from revisit.service.features.resources.views import PostedOperation, operation_view
+from revisit.service.features.resources.paging import Page, PageRequest, as_it_is
+from revisit.service.features.resources.views import PostedOperation
 from revisit.service.ports.blobs import MAP_LAYOUT_BLOB, NEURAL_MAP_BLOB
 from revisit.service.ports.storage import Storage, require_map
 from revisit.service.ports.transactions import UnitOfWork
 
 
 @dataclass(frozen=True)
-class MapFileView:
-    """A map file as clients see it (see `MapFileRecord`)."""
-
-    map_id: str
-    version: int
-    state: MapFileState
-    description: str
-    sha256: str
-    size_bytes: int
-    submaps: int
-    created_at_ns: int
-    number: int
-
-
-@dataclass(frozen=True)
 class OpenMapFile:
     """A map file to be sent."""
 
-    view: MapFileView
+    record: MapFileRecord
     layout: MapLayout
     storage: Storage
     tenant: TenantId
@@ -81,22 +66,22 @@ class MapFiles:
         entry = audit.noted(tenant, "map_published", f"maps/{map_id}/versions/{version}")
         return await self._context.storage.write(partial(self._post, tenant=tenant, payload=payload, entry=entry))
 
-    async def get(self, tenant: TenantId, map_id: str, version: int) -> MapFileView:
+    async def get(self, tenant: TenantId, map_id: str, version: int) -> MapFileRecord:
         """Raises NotFound."""
         read = partial(_require_file, tenant=tenant, map_id=map_id, version=version)
-        return _view(await self._context.storage.read(read))
+        return await self._context.storage.read(read)
 
-    async def list(self, tenant: TenantId, map_id: str, page: PageRequest) -> Page[MapFileView]:
+    async def list(self, tenant: TenantId, map_id: str, page: PageRequest) -> Page[MapFileRecord]:
         """The files of a map, oldest first. Raises NotFound."""
         find = partial(_files, tenant=tenant, map_id=map_id)
-        return await self._context.lists.page(tenant, page, find, lambda _, view: view)
+        return await self._context.lists.page(tenant, page, find, as_it_is)
 
-    async def enable(self, tenant: TenantId, map_id: str, version: int) -> MapFileView:
+    async def enable(self, tenant: TenantId, map_id: str, version: int) -> MapFileRecord:
         """Say that robots are to use this file, and no other of the map. Raises NotFound, Draining."""
         self._context.admission.require_running()
         entry = audit.noted(tenant, "map_enabled", f"maps/{map_id}/files/{version}")
         work = partial(self._enable, map_id=map_id, version=version, entry=entry)
-        return _view(await self._context.storage.write(work))
+        return await self._context.storage.write(work)
 
     async def delete(self, tenant: TenantId, map_id: str, version: int) -> None:
         """Delete a file; the version stays. Raises NotFound, Draining."""
@@ -110,7 +95,7 @@ class MapFiles:
         read = partial(_require_file, tenant=tenant, map_id=map_id, version=version)
         record = await self._context.storage.read(read)
         layout = await asyncio.to_thread(self._layout, tenant, record.layout_sha256)
-        return OpenMapFile(_view(record), layout, self._context.storage, tenant)
+        return OpenMapFile(record, layout, self._context.storage, tenant)
 
     def _layout(self, tenant: TenantId, sha256: str) -> MapLayout:
         return MapLayout.from_blob(self._context.storage.blobs.get(tenant, MAP_LAYOUT_BLOB, sha256))
@@ -120,10 +105,10 @@ class MapFiles:
         subject = f"maps/{payload['map_id']}"
         waiting = same_job(uow, tenant, OperationKind.PUBLISH_MAP, subject, payload)
         if waiting is not None:
-            return PostedOperation(operation_view(waiting), replay=True)
+            return PostedOperation(waiting, replay=True)
         audit.append(uow, self._context.clock.wall_ns(), entry)
         posted = self._context.jobs.post(uow, tenant, OperationKind.PUBLISH_MAP, subject, payload)
-        return PostedOperation(operation_view(posted), replay=False)
+        return PostedOperation(posted, replay=False)
 
     def _enable(self, uow: UnitOfWork, map_id: str, version: int, entry: AuditEntry) -> MapFileRecord:
         tenant = TenantId(entry.tenant)
@@ -153,23 +138,9 @@ def _require_file(uow: UnitOfWork, tenant: TenantId, map_id: str, version: int) 
     return known
 
 
-def _files(uow: UnitOfWork, after: int, limit: int, *, tenant: TenantId, map_id: str) -> list[MapFileView]:
+def _files(uow: UnitOfWork, after: int, limit: int, *, tenant: TenantId, map_id: str) -> list[MapFileRecord]:
     require_map(uow, tenant, map_id)
-    return [_view(row) for row in uow.map_files.find(tenant, after=after, limit=limit, map_id=map_id)]
-
-
-def _view(record: MapFileRecord) -> MapFileView:
-    return MapFileView(
-        map_id=record.map_id,
-        version=record.version,
-        state=MapFileState(record.state),
-        description=record.description,
-        sha256=record.sha256,
-        size_bytes=record.size_bytes,
-        submaps=record.submaps,
-        created_at_ns=record.created_at_ns,
-        number=record.number,
-    )
+    return uow.map_files.find(tenant, after=after, limit=limit, map_id=map_id)
 
 
 def _next(pieces: Iterator[bytes]) -> bytes | None:

@@ -24,7 +24,6 @@ from revisit.service.features.catalogue.maps import policy_in_force
 from revisit.service.features.graph.session_poses import PackedSubmaps
 from revisit.service.features.optimisation.calls import version_seen
 from revisit.service.features.publishing.layout import LayoutRecorder, MapLayout
-from revisit.service.features.resources.views import submap_key
 from revisit.service.features.tiles.rows import submaps_numbered
 from revisit.service.ports.blobs import MAP_LAYOUT_BLOB, NEURAL_MAP_BLOB
 from revisit.service.ports.job_context import JobContext
@@ -157,7 +156,7 @@ def read_filing(uow: UnitOfWork, policy: Policy, tenant: TenantId, map_id: str, 
 
 def _filed(submap: SubmapRecord, frame: str, T_map_submap: Matrix4) -> FiledSubmap:
     return FiledSubmap(
-        name=submap_key(submap).name,
+        name=submap.key.name,
         ordinal=submap.ordinal,
         stamp_ns=submap.stamp_ns,
         frame=frame,

@@ -26,7 +26,6 @@ from revisit.service.features.loops.rows import (
     change_loop,
     decided_by_person,
 )
-from revisit.service.features.resources.views import submap_key
 from revisit.service.ports.blobs import BlobStore
 from revisit.service.ports.job_queue import Lease
 from revisit.service.ports.recogniser import SubmapDescription
@@ -146,7 +145,7 @@ class LoopCommit:
             optimise_soon(uow, own.tenant, own.map_id, self.policy, self.now_ns)
         failpoint("merge.after_loops")
         timings = {stage: round(seconds, 4) for stage, seconds in self.query.timings_s.items()}
-        result = {"submap": submap_key(own).name, "loops_accepted": accepted}
+        result = {"submap": own.key.name, "loops_accepted": accepted}
         self._end(uow, {**result, "loops_rejected": len(present) - accepted, "timings_s": timings})
 
     def _end(self, uow: UnitOfWork, result: dict[str, Any]) -> None:

@@ -14,7 +14,6 @@ from revisit.service.domain.errors import Unavailable
 from revisit.service.domain.records import SubmapRecord
 from revisit.service.domain.states import OperationState
 from revisit.service.features.loops.claims import StoredDrive, drive_before
-from revisit.service.features.resources.views import submap_key
 from revisit.service.ports.transactions import Transactions, UnitOfWork
 
 WAIT_S = 10.0
@@ -34,7 +33,7 @@ def drive_in_turn(transactions: Transactions, submap: SubmapRecord, config: Pipe
         if not before.unsearched:
             return before
         if not runs or time.monotonic() >= until_s:
-            name = submap_key(before.unsearched[0]).name
+            name = before.unsearched[0].key.name
             raise Unavailable(f"loops of {name} decide about those of {submap.submap_id}, and are not there yet")
         time.sleep(pause_s)
         pause_s = min(1.5 * pause_s, _PAUSE_S[1])

@@ -29,7 +29,6 @@ from revisit.service.features.ingest.clouds import QUERY_NONCE_BYTES, unpack_clo
 from revisit.service.features.loops.claims import evidence_of, station
 from revisit.service.features.recognition.rows import JudgedPlace
 from revisit.service.features.recognition.stations import stations_in_map
-from revisit.service.features.resources.views import submap_key
 from revisit.service.ports.blobs import QUERY_CLOUD_BLOB
 from revisit.service.ports.index import VectorFilter
 from revisit.service.ports.job_context import JobContext
@@ -109,7 +108,7 @@ def _in_map(uow: UnitOfWork, found: Localization, judged: list[JudgedPlace]) -> 
     best = found.best
     if best is None or best.T_match_query is None:
         return None
-    match = next(item.place.submap for item in judged if submap_key(item.place.submap) == best.submap)
+    match = next(item.place.submap for item in judged if item.place.submap.key == best.submap)
     T_map_match = submap_in_map(uow, match)
     return None if T_map_match is None else T_map_match.of_child(best.T_match_query)
 
@@ -131,7 +130,7 @@ def _localization(judged: list[JudgedPlace], k: int, config: PipelineConfig) -> 
 def _candidate(judged: JudgedPlace, config: PipelineConfig) -> LocalizedCandidate:
     claim = judged.claim
     return LocalizedCandidate(
-        submap=submap_key(judged.place.submap),
+        submap=judged.place.submap.key,
         accepted=claim.accepted,
         reason=None if claim.reason is None else claim.reason.value,
         similarity=judged.place.similarity,

@@ -31,7 +31,7 @@ from revisit.service.features.catalogue.downloads import (
 )
 from revisit.service.features.operations.calls import Operations
 from revisit.service.features.resources.call_context import CallContext
-from revisit.service.features.resources.paging import Page, PageRequest
+from revisit.service.features.resources.paging import Page, PageRequest, as_it_is
 from revisit.service.features.tiles.files import render_tile
 from revisit.service.features.tiles.rows import Tiling, read_plan, read_tiling
 from revisit.service.ports.blobs import TILE_BLOB
@@ -101,7 +101,7 @@ class MapTiles:
     async def list(self, tenant: TenantId, map_id: str, version: int, page: PageRequest) -> Page[MapTileView]:
         """The tiles that submaps may reach into, by frame, column and row. Raises NotFound."""
         find = partial(_tiles, policy=self._context.policy, tenant=tenant, map_id=map_id, version=version)
-        return await self._context.lists.page(tenant, page, find, lambda _, view: view)
+        return await self._context.lists.page(tenant, page, find, as_it_is)
 
     async def make(self, tenant: TenantId, key: TileKey) -> None:
         """Wait until a tile is there: a download then holds no slot meanwhile. Raises as `download`."""
@@ -186,8 +186,8 @@ class MapTiles:
         post = partial(self._posted, tenant=tenant, kind=kind, subject=subject, payload=payload)
         job = await self._context.storage.write(post)
         operation = await self._operations.wait(tenant, job.operation_id, limits.TILE_WAIT_S)
-        if operation.failure is not None:
-            raise error_of(operation.failure.code, operation.failure.message)
+        if operation.failure_code is not None:
+            raise error_of(operation.failure_code, operation.failure_message or "")
         if operation.result is None:
             self._context.admission.require_running()
             raise NoAnswer(f"no worker answered within {limits.TILE_WAIT_S:g} s; ask again")

@@ -14,7 +14,7 @@ from revisit.service.domain.identity import TenantId, content_hash, validated_id
 from revisit.service.domain.states import EventKind, WebhookState
 from revisit.service.domain.webhooks import DeliveryRecord, WebhookRecord
 from revisit.service.features.resources.call_context import CallContext
-from revisit.service.features.resources.paging import Page, PageRequest
+from revisit.service.features.resources.paging import Page, PageRequest, as_it_is
 from revisit.service.features.webhooks.rules import validated_url
 from revisit.service.ports.storage import require_map, require_same_content
 from revisit.service.ports.transactions import UnitOfWork
@@ -47,24 +47,10 @@ class CreateWebhook:
 
 
 @dataclass(frozen=True)
-class WebhookView:
-    """A webhook as clients see it; `failures` counts attempts in vain since the last event that arrived, `told`."""
-
-    webhook_id: str
-    url: str
-    map_id: str | None
-    kinds: tuple[EventKind, ...]
-    state: WebhookState
-    told: int
-    failures: int
-    created_at_ns: int
-
-
-@dataclass(frozen=True)
 class CreatedWebhook:
     """The webhook; its `secret`, which is told this once, "" on a replay."""
 
-    webhook: WebhookView
+    webhook: WebhookRecord
     secret: str
     replay: bool
 
@@ -104,25 +90,25 @@ class Webhooks:
         )
         return await self._context.storage.write(partial(_add, record=record))
 
-    async def get(self, tenant: TenantId, webhook_id: str) -> WebhookView:
+    async def get(self, tenant: TenantId, webhook_id: str) -> WebhookRecord:
         """Raises NotFound."""
-        return _view(await self._context.storage.read(partial(_require, tenant=tenant, webhook_id=webhook_id)))
+        return await self._context.storage.read(partial(_require, tenant=tenant, webhook_id=webhook_id))
 
-    async def list(self, tenant: TenantId, page: PageRequest) -> Page[WebhookView]:
+    async def list(self, tenant: TenantId, page: PageRequest) -> Page[WebhookRecord]:
         """The tenant's webhooks, oldest first."""
         return await self._context.lists.page(
             tenant,
             page,
             lambda uow, after, limit: uow.webhooks.find(tenant, after=after, limit=limit),
-            lambda _, record: _view(record),
+            as_it_is,
         )
 
     async def deliveries(self, tenant: TenantId, webhook_id: str, page: PageRequest) -> Page[DeliveryRecord]:
         """The last attempts to deliver, oldest first. Raises NotFound."""
         find = partial(_attempts, tenant=tenant, webhook_id=webhook_id)
-        return await self._context.lists.page(tenant, page, find, lambda _, record: record)
+        return await self._context.lists.page(tenant, page, find, as_it_is)
 
-    async def resume(self, tenant: TenantId, webhook_id: str) -> WebhookView:
+    async def resume(self, tenant: TenantId, webhook_id: str) -> WebhookRecord:
         """Try again at once, also where it was suspended. Raises NotFound, Draining."""
         self._context.admission.require_running()
         return await self._context.storage.write(partial(_resume, tenant=tenant, webhook_id=webhook_id))
@@ -137,20 +123,20 @@ def _add(uow: UnitOfWork, record: WebhookRecord) -> CreatedWebhook:
     known = uow.webhooks.get(record.tenant, record.webhook_id)
     if known is not None:
         require_same_content(known.content_hash, record.content_hash, f"webhook {record.webhook_id}")
-        return CreatedWebhook(_view(known), "", replay=True)
+        return CreatedWebhook(known, "", replay=True)
     if record.map_id is not None:
         require_map(uow, record.tenant, record.map_id)
     if uow.webhooks.count(record.tenant) >= limits.WEBHOOKS:
         raise QuotaReached(f"a tenant may have {limits.WEBHOOKS} webhooks: delete one first")
     added = uow.webhooks.add(replace(record, told=uow.events.last_number()))
-    return CreatedWebhook(_view(added), added.secret, replay=False)
+    return CreatedWebhook(added, added.secret, replay=False)
 
 
-def _resume(uow: UnitOfWork, tenant: TenantId, webhook_id: str) -> WebhookView:
+def _resume(uow: UnitOfWork, tenant: TenantId, webhook_id: str) -> WebhookRecord:
     known = _require(uow, tenant, webhook_id)
     resumed = replace(known, state=WebhookState.ENABLED.value, failures=0, due_at_ns=0)
     uow.webhooks.replace(resumed)
-    return _view(resumed)
+    return resumed
 
 
 def _delete(uow: UnitOfWork, tenant: TenantId, webhook_id: str) -> None:
@@ -169,16 +155,3 @@ def _require(uow: UnitOfWork, tenant: TenantId, webhook_id: str) -> WebhookRecor
     if record is None:
         raise NotFound(f"there is no webhook {webhook_id!r}"[:200])
     return record
-
-
-def _view(record: WebhookRecord) -> WebhookView:
-    return WebhookView(
-        webhook_id=record.webhook_id,
-        url=record.url,
-        map_id=record.map_id,
-        kinds=tuple(EventKind(kind) for kind in record.kinds),
-        state=WebhookState(record.state),
-        told=record.told,
-        failures=record.failures,
-        created_at_ns=record.created_at_ns,
-    )

@@ -107,7 +107,7 @@ async def test_descriptors_of_another_profile_are_not_compared(world):
     assert found.model_version == "fake-1-paper"
     with pytest.raises(DescriptorModelMismatch):
         await world.use_cases.searches.by_descriptor(
-            TENANT, SESSION.map_id, found.descriptor, "fake-1", SearchCriteria()
+            TENANT, SESSION.map_id, found.place_descriptor, "fake-1", SearchCriteria()
         )
 
 
@@ -115,10 +115,10 @@ async def test_a_worker_without_torch_says_which_extra_it_lacks_and_the_job_wait
     posted = await world.use_cases.posting.post(TENANT, submap("a", place=1))
     assert world.work_off(WithoutTorch()) == 1
     failed = await world.use_cases.operations.get(TENANT, posted.operation.operation_id)
-    assert (failed.state.value, failed.failure.code) == ("FAILED", "EXTRA_MISSING")
-    assert "revisit-loops[learned]" in failed.failure.message
+    assert (failed.state, failed.failure_code) == ("FAILED", "EXTRA_MISSING")
+    assert "revisit-loops[learned]" in failed.failure_message
     assert world.work_off() == 0
     await world.use_cases.dead_letters.retry(TENANT, posted.operation.operation_id)
     assert world.work_off() == 1
     found = await world.use_cases.submaps.get(TENANT, SubmapKey(SESSION.map_id, SESSION.session_id, "a"))
-    assert found.state.value == "DESCRIBED" and found.failure is None
+    assert found.state == "DESCRIBED" and found.failure_code is None

@@ -107,10 +107,10 @@ async def test_descriptors_of_another_scale_are_not_compared(world):
     found = await world.use_cases.submaps.get(TENANT, SubmapKey(SESSION.map_id, SESSION.session_id, "a"), full=True)
     assert found.model_version == "fake-1@scale-0.25"
     searches, criteria = world.use_cases.searches, SearchCriteria()
-    hits = await searches.by_descriptor(TENANT, SESSION.map_id, found.descriptor, found.model_version, criteria)
+    hits = await searches.by_descriptor(TENANT, SESSION.map_id, found.place_descriptor, found.model_version, criteria)
     assert [hit.submap.submap_id for hit in hits.hits] == ["a"]
     with pytest.raises(DescriptorModelMismatch):
-        await searches.by_descriptor(TENANT, SESSION.map_id, found.descriptor, "fake-1", criteria)
+        await searches.by_descriptor(TENANT, SESSION.map_id, found.place_descriptor, "fake-1", criteria)
 
 
 async def test_a_loop_is_closed_within_a_map_of_another_scale(world):

@@ -16,17 +16,9 @@ from revisit.core.pose_graph.graph import GraphState
 from revisit.core.scan import CloudReport
 from revisit.sdk import json_answers
 from revisit.service.calls import catalogue, ingest, loops, mapping, operations, search
-from revisit.service.domain.identity import SessionKey, SubmapKey
+from revisit.service.domain.identity import SubmapKey
 from revisit.service.domain.loop_policy import LoopPolicy
-from revisit.service.domain.states import (
-    LoopState,
-    OperationKind,
-    OperationState,
-    SessionState,
-    SubmapState,
-)
 from revisit.service.features.catalogue.maps import MapView
-from revisit.service.features.catalogue.robots import RobotView
 from revisit.service.features.catalogue.sessions import SessionView
 from revisit.service.features.corrections.calls import CorrectionView
 from revisit.service.features.graph.map_frames import LoopInMap, MapPose
@@ -36,7 +28,7 @@ from revisit.service.features.ingest.posting import PostedSubmap
 from revisit.service.features.loops.calls import LoopClosureView
 from revisit.service.features.optimisation.calls import MapVersionView, SubmapPoseView
 from revisit.service.features.resources.paging import Page
-from revisit.service.features.resources.views import OperationFailure, OperationView, SubmapView
+from revisit.service.features.resources.views import SubmapView
 from revisit.service.wire import openapi
 from revisit.service.wire.json_form import json_form
 from revisit.service.wire.rendering import Listed
@@ -50,6 +42,7 @@ from revisit.v1 import (
     session_pb2,
     submap_pb2,
 )
+from tests.support.records import a_job, a_loop, a_map, a_robot, a_session, a_submap
 
 SUBMAP_KEY, LARGE = SubmapKey("town", "monday", "a"), 2**62 + 1
 EVIDENCE = {
@@ -58,28 +51,25 @@ EVIDENCE = {
     "covariance": [[1e-3, 0.0], [0.0, 2.5]],
     "nested": {"yes": True, "none": None},
 }
-FAILURE = OperationFailure("DEGENERATE_CLOUD", "one line")
+FAILURE = {"failure_code": "DEGENERATE_CLOUD", "failure_message": "one line"}
 POSE = np.array([[0.0, -1, 0, 1.5], [1, 0, 0, -2], [0, 0, 1, 0.25], [0, 0, 0, 1]])
-MAP = MapView("town", "Town", 10.0, 5.0, 20, 0.25, 3, 70_000, LARGE, LoopPolicy(5, 0.5, 0.25, 0.0), 3)
+MAP = MapView(**vars(a_map()), session_count=3, submap_count=70_000, loop_policy=LoopPolicy(5, 0.5, 0.25, 0.0))
 IN_MAP = MapPose(pose_row(POSE), "frame-1", LARGE)
-SESSION = SessionView(SUBMAP_KEY.session, "rover", SessionState.FINISHED, LARGE, 12.5, 2, LARGE, LARGE, 0)
-QUEUED = OperationView("op-1", OperationKind.DESCRIBE_SUBMAP, OperationState.QUEUED, "x", 0, None, None, 1, None)
-FAILED = OperationView("op-2", OperationKind.LOCALIZE, OperationState.FAILED, "x", 3, {}, FAILURE, 1, LARGE)
-DONE = OperationView("op-3", OperationKind.SEARCH_CLOUD, OperationState.DONE, "x", 1, EVIDENCE, None, 1, 2)
+NEW = SessionView(**vars(a_session("new")), submap_count=0, committed_stamp_ns=None)
+SESSION = replace(NEW, robot_id="rover", state="FINISHED", committed_seq=LARGE, finished_at_ns=LARGE, submap_count=2)
+QUEUED = a_job()
+FAILED = a_job(kind="LOCALIZE", state="FAILED", attempts=3, result={}, finished_at_ns=LARGE, **FAILURE)
+DONE = a_job(kind="SEARCH_CLOUD", state="DONE", result=EVIDENCE, progress={"stage": "COMMIT", "done": 1, "total": 2})
+RUNNING = replace(DONE, state="RUNNING", result=None)
 SCANNED = SubmapView(
-    SUBMAP_KEY, LARGE, SubmapState.DESCRIBED, 0, POSE, (1.5, -2.0, 0.25), LARGE, 1, LARGE, 12, 3000, 36_000, 900,
-    ("PLANE", "SHORT"), "m1", None, "op-1", 1, np.array([0.5, -0.25], dtype=np.float32),
-)  # fmt: skip
-UNDESCRIBED = SubmapView(
-    SUBMAP_KEY, 1, SubmapState.FAILED, 3, np.eye(4), (0.0, 0.0, 0.0), 0, None, None, 1, 300, 3600, None, (), None,
-    FAILURE, "op-1", 1,
-)  # fmt: skip
+    **vars(a_submap(first_seq=1, last_seq=LARGE, T_odom_submap=pose_row(POSE), neural_map_bytes=900, number=LARGE)),
+    place_descriptor=np.array([0.5, -0.25], dtype=np.float32),
+)
+UNDESCRIBED = SubmapView.of(a_submap(state="FAILED", **FAILURE))
 POSTED = PostedSubmap(SCANNED, QUEUED, False, CloudReport(4, True))
 ACCEPTED = LocalizedCandidate(SUBMAP_KEY, True, None, 0.9, 0.8, POSE, EVIDENCE)
 REJECTED = LocalizedCandidate(SUBMAP_KEY, False, "LOW_SCORE", -0.5, 0.0, None, {})
-LOOP = LoopClosureView(
-    "l", LARGE, "town", SUBMAP_KEY, SUBMAP_KEY, LoopState.ACCEPTED, None, 1.0, 0.5, POSE, EVIDENCE, 1
-)
+LOOP = LoopClosureView.of(a_loop(1, 2))
 PLACED_LOOP = replace(LOOP, graph_state=GraphState.IN_MAP, manual=True, in_map=LoopInMap(IN_MAP, IN_MAP))
 SUMMARY = {
     "sessions": 2, "submaps": 60, "frames": 1, "loops_in_map": 10, "loops_set_aside": 4, "loops_unconnected": 0,
@@ -98,14 +88,10 @@ def of_page(collection, page, of):
 
 ANSWERS = {
     "a map": (map_pb2.Map, catalogue.map_fields(MAP)),
-    "a robot": (robot_pb2.Robot, catalogue.robot_fields(RobotView("rover", "", LARGE))),
+    "a robot": (robot_pb2.Robot, catalogue.robot_fields(a_robot())),
     "a finished session": (session_pb2.Session, catalogue.session_fields(SESSION)),
-    "a new session": (
-        session_pb2.Session,
-        catalogue.session_fields(
-            SessionView(SessionKey("town", "new"), None, SessionState.ACTIVE, 0, 0.0, 0, 1, None, None)
-        ),
-    ),
+    "a new session": (session_pb2.Session, catalogue.session_fields(NEW)),
+    "an operation that runs": (operation_pb2.Operation, operations.operation_fields(RUNNING)),
     "an operation that waits": (operation_pb2.Operation, operations.operation_fields(QUEUED)),
     "an operation that failed": (operation_pb2.Operation, operations.operation_fields(FAILED)),
     "an operation that is done": (operation_pb2.Operation, operations.operation_fields(DONE)),
