@@ -18,6 +18,7 @@ from revisit.service.domain.states import OperationKind
 from revisit.service.features.catalogue.job import MeshMaking
 from revisit.service.features.corrections.job import EarlyCorrections
 from revisit.service.features.deletion.erasure import Erasure
+from revisit.service.features.index.caught_up_index import CaughtUpIndex
 from revisit.service.features.index.keeping import IndexHealth, IndexKeeper
 from revisit.service.features.index.place_memory import PlaceMemory
 from revisit.service.features.ingest.clouds import CloudDecoder
@@ -38,6 +39,7 @@ from revisit.service.ports.job_context import JobContext
 from revisit.service.ports.map_merger import MapMerger
 from revisit.service.ports.map_optimiser import MapOptimiser
 from revisit.service.ports.map_tiles import TileMaker
+from revisit.service.ports.place_search import PlaceSearch
 from revisit.service.ports.recogniser import PlaceRecogniser
 from revisit.service.ports.storage import Storage
 from revisit.service.ports.transactions import Transactions
@@ -58,6 +60,8 @@ class ServiceContext:
     disk: DiskSpace = field(default_factory=UnlimitedDisk)
     index_health: IndexHealth = field(default_factory=IndexHealth)
     budget: ByteBudget = field(default_factory=ByteBudget)
+    search: PlaceSearch | None = None
+    """Where the index of a map is searched; None for in this process."""
     secret: bytes = field(default_factory=lambda: secrets.token_bytes(32))
     """Known to nobody else: makes the tokens of pages unreadable."""
     decoder: CloudDecoder = field(default_factory=lambda: CloudDecoder(DECODERS))
@@ -70,7 +74,12 @@ class ServiceContext:
     @cached_property
     def memory(self) -> PlaceMemory:
         """Searches in the index."""
-        return PlaceMemory(self.transactions, self.index)
+        return PlaceMemory(self.transactions, self.search or self.own_index)
+
+    @cached_property
+    def own_index(self) -> CaughtUpIndex:
+        """The index of this process."""
+        return CaughtUpIndex(self.transactions, self.index)
 
     @cached_property
     def backlog(self) -> Backlog:
@@ -114,4 +123,4 @@ class ServiceContext:
         """The loader of the index, which also compares it with the database. From now on the service is not ready until
         then.
         """
-        return IndexKeeper(self.storage, self.index, self.memory, self.index_health, self.disk)
+        return IndexKeeper(self.storage, self.index, self.own_index, self.index_health, self.disk)

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from revisit.service.features.index import place_memory
-from revisit.service.features.index.place_memory import PlaceMemory
+from revisit.service.features.index import caught_up_index
 from tests.support.memory.vector_index import MemoryVectorIndex
+from tests.support.own_index import memory_over
 from tests.support.records import anywhere
 from tests.support.service_world import TENANT, open_session, sqlite_world, submap
 
@@ -20,16 +20,16 @@ async def test_portions_of_any_size_give_the_same_index(tmp_path, monkeypatch, p
         await world.use_cases.posting.post(TENANT, submap(f"s{number}", number))
     world.work_off()
     await world.use_cases.submaps.delete(TENANT, submap("s3", 3).key)  # the sixth change
-    monkeypatch.setattr(place_memory, "PORTION", portion)
+    monkeypatch.setattr(caught_up_index, "PORTION", portion)
     index = MemoryVectorIndex()
-    memory = PlaceMemory(world.context.transactions, index)
+    memory = memory_over(world.context.transactions, index)
 
     def load(uow):
         return uow.maps.get(TENANT, "town"), uow.submaps.get(TENANT, "town", "monday", "s1")
 
     map_record, record = world.context.transactions.read(load).result()
     recall = memory.recall(map_record, np.frombuffer(record.descriptor, dtype="<f4"), 10, anywhere)
-    assert {place.submap.submap_id for place in recall} == {"s0", "s1", "s2", "s4"}
-    assert recall[0].submap.submap_id == "s1"
+    assert {place.submap.submap_id for place in recall.places} == {"s0", "s1", "s2", "s4"}
+    assert recall.places[0].submap.submap_id == "s1"
     assert (index.size(map_record.number), index.seq(map_record.number)) == (4, 6)
     world.context.transactions.close()

@@ -16,10 +16,11 @@ from revisit.core.index import FaissIndex, rows
 from revisit.service.engines.local.files import index_files
 from revisit.service.engines.local.files.index_files import IndexFiles
 from revisit.service.engines.local.vector_index import PlaceVectorIndex
+from revisit.service.features.index.caught_up_index import CaughtUpIndex
 from revisit.service.features.index.keeping import IndexHealth
-from revisit.service.features.index.place_memory import PlaceMemory
 from revisit.service.ports.disk import UnlimitedDisk
 from revisit.service.use_cases import UseCases
+from tests.support.own_index import memory_over
 from tests.support.records import anywhere
 from tests.support.service_world import SESSION, TENANT, described_home, sqlite_world, submap
 
@@ -61,10 +62,10 @@ class Process:
 
     def found(self) -> list[str]:
         """The submap that a search for each finds first."""
-        memory = PlaceMemory(self.context.transactions, self.context.index)
+        memory = memory_over(self.context.transactions, self.context.index)
         rows = self.context.transactions.read(lambda uow: uow.submaps.find(TENANT, map_id=SESSION.map_id)).result()
         vectors = [np.frombuffer(row.descriptor, dtype="<f4") for row in rows]
-        return [memory.recall(self.map, vector, 1, anywhere)[0].submap.submap_id for vector in vectors]
+        return [memory.recall(self.map, vector, 1, anywhere).places[0].submap.submap_id for vector in vectors]
 
     def delete(self, submap_id: str) -> None:
         asyncio.run(self.use_cases.submaps.delete(TENANT, submap(submap_id, 0).key))
@@ -242,8 +243,8 @@ def test_a_search_whose_hit_is_erased_meanwhile_loads_the_file_again(home, monke
 
         vector = np.frombuffer(worker.row("s0").descriptor, dtype="<f4")
         monkeypatch.setattr(worker.context.index, "search", after_the_deletion)
-        memory = PlaceMemory(worker.context.transactions, worker.context.index)
-        names = {place.submap.submap_id for place in memory.recall(worker.map, vector, 20, anywhere)}
+        memory = memory_over(worker.context.transactions, worker.context.index)
+        names = {place.submap.submap_id for place in memory.recall(worker.map, vector, 20, anywhere).places}
         assert names == set(EVERY_ONE) - {"s0"}
         assert worker.own_rows == 0
 
@@ -254,7 +255,7 @@ def test_a_file_that_is_replaced_is_let_go_with_the_next_deletion(home):
         old = gateway.map.index_file
         gateway.context.index.drop(gateway.map.number)
         assert gateway.saved() == 0
-        PlaceMemory(gateway.context.transactions, gateway.context.index).catch_up(TENANT, gateway.map.number)
+        CaughtUpIndex(gateway.context.transactions, gateway.context.index).catch_up(TENANT, gateway.map.number)
         assert gateway.saved() == 1
         gateway.delete("s4")
         assert worker.found() == [name for name in EVERY_ONE if name != "s4"]

@@ -11,11 +11,11 @@ import pytest
 from revisit.core.index import FaissIndex, IndexEntry
 from revisit.service.engines.local.vector_index import PlaceVectorIndex
 from revisit.service.features.catalogue.maps import CreateMap
+from revisit.service.features.index import caught_up_index
 from revisit.service.features.index import keeping as index_keeping
-from revisit.service.features.index import place_memory
-from revisit.service.features.index.place_memory import PlaceMemory
 from revisit.service.use_cases import UseCases
 from tests.support.campaigns import Campaign, sizes
+from tests.support.own_index import memory_over
 from tests.support.records import anywhere
 from tests.support.service_world import SESSION, TENANT, described_home, sqlite_world
 
@@ -50,10 +50,10 @@ def map_of(context):
 
 def found(context) -> list[str]:
     """The submaps that a search for each finds first."""
-    memory, record = PlaceMemory(context.transactions, context.index), map_of(context)
+    memory, record = memory_over(context.transactions, context.index), map_of(context)
     rows = context.transactions.read(lambda uow: uow.submaps.find(TENANT, map_id=SESSION.map_id)).result()
     vectors = [np.frombuffer(row.descriptor, dtype="<f4") for row in rows]
-    return [memory.recall(record, vector, 1, anywhere)[0].submap.submap_id for vector in vectors]
+    return [memory.recall(record, vector, 1, anywhere).places[0].submap.submap_id for vector in vectors]
 
 
 EVERY_ONE = [f"s{number}" for number in range(SUBMAPS)]
@@ -208,7 +208,7 @@ async def test_hundreds_of_random_damages_are_each_found(context, keeper, mutati
 
 
 async def test_a_search_waits_for_a_map_that_is_forgotten_between_its_steps(context, keeper, monkeypatch):
-    monkeypatch.setattr(place_memory, "PORTION", 5)
+    monkeypatch.setattr(caught_up_index, "PORTION", 5)
     search, forgotten = context.index.search, []
 
     def forgets_first(number, *arguments):

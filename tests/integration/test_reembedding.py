@@ -17,10 +17,10 @@ from revisit.core.index import FaissIndex
 from revisit.service.domain.identity import SubmapKey
 from revisit.service.engines.local.files.file_drafts import FileDrafts
 from revisit.service.engines.local.vector_index import PlaceVectorIndex
-from revisit.service.features.index.place_memory import PlaceMemory
 from revisit.service.features.recognition.reembedding import Reembedding
 from revisit.service.ports.blobs import NEURAL_MAP_BLOB, PLACE_BLOB
 from tests.support.fake_recogniser import FakeRecogniser
+from tests.support.own_index import memory_over
 from tests.support.records import anywhere
 from tests.support.service_world import SESSION, TENANT, open_session, sqlite_world, submap
 
@@ -76,10 +76,10 @@ def map_of(world):
 
 
 async def test_every_submap_gets_the_new_model_and_is_found_by_it(world, drafts):
-    memory = PlaceMemory(world.context.transactions, PlaceVectorIndex(FaissIndex))
+    memory = memory_over(world.context.transactions, PlaceVectorIndex(FaissIndex))
     before = rows_of(world)
     query = np.frombuffer(before[0].descriptor, "<f4")
-    assert memory.recall(map_of(world), query, 1, anywhere)[0].submap.submap_id == "a"
+    assert memory.recall(map_of(world), query, 1, anywhere).places[0].submap.submap_id == "a"
     newer, told = Newer(), []
     work = work_of(world, newer, drafts)
     (stale,) = work.stale_maps()
@@ -92,7 +92,7 @@ async def test_every_submap_gets_the_new_model_and_is_found_by_it(world, drafts)
         assert (new.model_version, new.neural_map_sha256) == ("fake-2", old.neural_map_sha256)
         assert world.context.blobs.get(TENANT, PLACE_BLOB, new.place_sha256) == new.descriptor
         found = memory.recall(map_of(world), np.frombuffer(new.descriptor, "<f4"), 1, anywhere)
-        assert found[0].submap.submap_id == new.submap_id
+        assert found.places[0].submap.submap_id == new.submap_id
     await world.use_cases.posting.post(TENANT, submap("d", 9))
     world.work_off(newer)
     assert [row.state for row in rows_of(world)] == ["DESCRIBED"] * 4
@@ -171,9 +171,9 @@ async def test_what_cannot_be_described_has_failed_with_the_reason_and_is_found_
     assert [(row.state, row.failure_code) for row in rows_of(world)] == [
         ("DESCRIBED", None), ("FAILED", "DEGENERATE_CLOUD"), ("FAILED", "DEGENERATE_CLOUD"),
     ]  # fmt: skip
-    memory = PlaceMemory(world.context.transactions, PlaceVectorIndex(FaissIndex))
+    memory = memory_over(world.context.transactions, PlaceVectorIndex(FaissIndex))
     query = np.frombuffer(rows_of(world)[0].descriptor, "<f4")
-    found = memory.recall(map_of(world), query, 5, anywhere)
+    found = memory.recall(map_of(world), query, 5, anywhere).places
     assert [place.submap.submap_id for place in found] == ["a"]
 
 

@@ -14,7 +14,7 @@ from revisit.service.domain.errors import NotFound
 from revisit.service.domain.records import MapRecord, SubmapRecord
 from revisit.service.domain.states import SubmapState
 from revisit.service.failpoints import failpoint
-from revisit.service.features.index.place_memory import PlaceMemory
+from revisit.service.features.index.caught_up_index import CaughtUpIndex
 from revisit.service.ports.disk import DiskSpace
 from revisit.service.ports.index import IndexChange, VectorIndex
 from revisit.service.ports.storage import Storage
@@ -45,15 +45,15 @@ class IndexKeeper:
     """Loads the index of every map once, then compares it with the database, a window at a time."""
 
     def __init__(
-        self, storage: Storage, index: VectorIndex, memory: PlaceMemory, health: IndexHealth, disk: DiskSpace
+        self, storage: Storage, index: VectorIndex, caught_up: CaughtUpIndex, health: IndexHealth, disk: DiskSpace
     ) -> None:
-        """`memory` brings `index` up to date. From now on the service is not ready, until `load` is done.
+        """`caught_up` brings `index` up to date. From now on the service is not ready, until `load` is done.
 
         No file is written where `disk` is full.
         """
         self._storage = storage
         self._index = index
-        self._memory = memory
+        self._caught_up = caught_up
         self._health = health
         self._disk = disk
         self._last_map = 0
@@ -67,7 +67,7 @@ class IndexKeeper:
         began_s = time.perf_counter()
         maps = await self._storage.read(lambda uow: uow.maps.of_all_tenants())
         for record in maps:
-            await asyncio.to_thread(self._memory.catch_up, record.tenant, record.number)
+            await asyncio.to_thread(self._caught_up.catch_up, record.tenant, record.number)
         await self._keep_named_files()
         self._health.loading = False
         submaps = sum(self._index.size(record.number) for record in maps)
@@ -85,7 +85,7 @@ class IndexKeeper:
         for number in self._index.large():
             found = await self._storage.read(partial(_next_map, after=number - 1))
             if found is not None and found.number == number:
-                await asyncio.to_thread(self._memory.catch_up, found.tenant, number)
+                await asyncio.to_thread(self._caught_up.catch_up, found.tenant, number)
                 saved += await self._save(found)
         if saved:
             await self._keep_named_files()
@@ -103,7 +103,7 @@ class IndexKeeper:
             await self._storage.write(lambda uow: uow.maps.revise([record], index_file=name))
         failpoint("index.after_file_named")
         await asyncio.to_thread(self._index.load, record.number, name)
-        await asyncio.to_thread(self._memory.catch_up, record.tenant, record.number)
+        await asyncio.to_thread(self._caught_up.catch_up, record.tenant, record.number)
         log.info("index_file_written", map=record.map_id, submaps=self._index.size(record.number))
         return True
 
@@ -137,7 +137,7 @@ class IndexKeeper:
     def _audit_map(self, record: MapRecord) -> tuple[int, int]:
         """The next window of a map's submaps; how many differed, how many were compared."""
         tenant, number, index = record.tenant, record.number, self._index
-        self._memory.catch_up(tenant, number)
+        self._caught_up.catch_up(tenant, number)
         seq, held = index.numbers(number)
         after = self._last_submap.pop(number, 0)
         read_here = self._storage.transactions.read_here
@@ -165,11 +165,11 @@ class IndexKeeper:
         return len(drift), len(window)
 
     def _mend(self, record: MapRecord, drift: int) -> None:
-        """Load the map's index anew; searches meanwhile wait for it (see `PlaceMemory.recall`)."""
+        """Load the map's index anew; searches meanwhile wait for it (see `CaughtUpIndex.nearest`)."""
         log.error("index_drift", tenant=record.tenant, map=record.map_id, submaps=drift)
         self._health.drift += drift
         self._index.drop(record.number)
-        self._memory.catch_up(record.tenant, record.number)
+        self._caught_up.catch_up(record.tenant, record.number)
 
 
 def _next_map(uow: UnitOfWork, after: int) -> MapRecord | None:

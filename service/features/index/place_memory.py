@@ -1,10 +1,9 @@
-"""Place memory: searches a map's vector index after it has caught up with the database."""
+"""Place memory: the places of a map that are most like a descriptor, with what the database knows of them."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
-from functools import partial
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,19 +13,15 @@ from revisit.core.errors import BadField
 from revisit.service.domain.errors import NotFound
 from revisit.service.domain.identity import TenantId
 from revisit.service.domain.records import MapRecord, SubmapRecord
-from revisit.service.failpoints import failpoint
 from revisit.service.features.catalogue.storeys import comparable_sessions, storey_of
 from revisit.service.features.graph.map_frames import KeptSessions, MapFrames
 from revisit.service.features.index.answers import SearchCriteria, SearchHit, SearchResult
 from revisit.service.features.index.own_drive import candidates_of
-from revisit.service.ports.index import IndexChange, VectorFilter, VectorIndex, VectorMatch
+from revisit.service.ports.index import VectorFilter, VectorMatch
+from revisit.service.ports.place_search import PlaceAnswer, PlaceQuestion, PlaceSearch
 from revisit.service.ports.transactions import Transactions, UnitOfWork
 
 ReadFilter = Callable[[UnitOfWork], VectorFilter]
-
-PORTION = 1024
-"""Changes that are read at a time: a large map is loaded without holding all its descriptors twice, and 4 MB of them
-lie in memory that the next portion uses again."""
 
 
 @dataclass(frozen=True)
@@ -38,6 +33,14 @@ class RecalledPlace:
 
 
 @dataclass(frozen=True)
+class Recall:
+    """The places most like a query, and how many submaps were left out, as they are on another storey."""
+
+    places: tuple[RecalledPlace, ...]
+    on_other_storeys: int = 0
+
+
+@dataclass(frozen=True)
 class Question:
     """The descriptor (d,) that is searched for, the map, and which of its submaps may be hits."""
 
@@ -46,139 +49,43 @@ class Question:
     where: VectorFilter
 
 
-@dataclass(frozen=True)
-class _News:
-    """The changes of a map's index that follow change `after`."""
-
-    after: int
-    changes: list[IndexChange]
-
-    @property
-    def seq(self) -> int:
-        """The last of them."""
-        return self.changes[-1].seq if self.changes else self.after
-
-
 class PlaceMemory:
     """Searches that see every submap described before they began. Calls block: use them beside the event loop."""
 
-    def __init__(self, transactions: Transactions, index: VectorIndex) -> None:
-        """`index` is this process's own cache."""
+    def __init__(self, transactions: Transactions, search: PlaceSearch) -> None:
+        """`search` knows what is like a descriptor, the database all else of a submap."""
         self._transactions = transactions
-        self._index = index
+        self._search = search
         self._sessions = KeptSessions()
-        self._caught_up: dict[int, tuple[int, int]] = {}
 
     def recall(
         self, map_record: MapRecord, vector: NDArray[np.float32], k: int, where: ReadFilter, before: int | None = None
-    ) -> tuple[RecalledPlace, ...]:
+    ) -> Recall:
         """The k places most like `vector` (d,), of those that entered the index before change `before`.
 
-        `where` is read once the index has caught up, so that it knows every session that has a place there. Raises
-        BadField for another dimension.
+        Raises BadField for another dimension, Unavailable.
         """
-        matches, _ = self._matches(map_record, vector, k, partial(self._where, map_record, where, before), to=before)
-        return self._transactions.read_here(lambda uow: _places(uow, map_record.tenant, matches))
-
-    def _where(self, map_record: MapRecord, where: ReadFilter, before: int | None) -> VectorFilter:
-        """The filter, which leaves out what the index holds beyond change `before`."""
-        beyond = before is not None and self._index.seq(map_record.number) > before
-
-        def read(uow: UnitOfWork) -> VectorFilter:
-            later = uow.changes.since(map_record.tenant, map_record.number, before or 0) if beyond else []
-            found = where(uow)
-            return replace(found, without=found.without.union(change.submap_number for change in later))
-
-        return self._transactions.read_here(read)
-
-    def _matches(
-        self,
-        map_record: MapRecord,
-        vector: NDArray[np.float32],
-        k: int,
-        where: Callable[[], VectorFilter],
-        news: _News | None = None,
-        to: int | None = None,
-    ) -> tuple[list[VectorMatch], int]:
-        """The hits of the index, and the change up to which it is complete; `news` of it may have been read.
-
-        With `to` no change behind that one is applied.
-        """
-        tenant, number = map_record.tenant, map_record.number
-        while True:
-            seq = self.catch_up(tenant, number, to) if news is None else self._apply(number, news)
-            news = None
-            matches = self._index.search(number, vector, k, where()) if self._index.size(number) else []
-            if self._index.seq(number) >= seq:
-                return matches, seq
-            # The map was forgotten in between, to be loaded again.
-
-    def catch_up(self, tenant: TenantId, number: int, to: int | None = None) -> int:
-        """Apply the changes that the index lacks, up to change `to`, in portions; the last change that was read."""
-        while True:
-            before = self._index.seq(number) or self._loaded(tenant, number)
-            changes = self._transactions.read_here(partial(_changes, tenant=tenant, number=number, seq=before))
-            if to is not None:
-                changes = [change for change in changes if change.seq <= to]
-            more = len(changes) > PORTION
-            seq = self._apply(number, _News(before, changes[:PORTION]), more)
-            if not more:
-                return seq
-
-    def _apply(self, number: int, news: _News, more: bool = False) -> int:
-        """Apply changes that were read, and `more` are to be; the last of them."""
-        failpoint("index.before_apply")
-        self._index.apply(number, news.changes, news.after, more=more)
-        failpoint("index.after_apply")
-        return news.seq
-
-    def _loaded(self, tenant: TenantId, number: int) -> int:
-        """Load the map from its file, if it has one; the last change that is in the index then."""
-        record = self._transactions.read_here(lambda uow: uow.maps.numbered(tenant, [number])).get(number)
-        if record is not None and record.index_file is not None:
-            self._index.load(number, record.index_file)
-        return self._index.seq(number)
+        tenant = map_record.tenant
+        asked = PlaceQuestion(tenant, map_record.number, vector, k, self._transactions.read_here(where), before)
+        answer = self._search.nearest(asked)
+        places = self._transactions.read_here(lambda uow: _places(uow, tenant, answer.matches))
+        return Recall(places, answer.on_other_storeys)
 
     def answer(self, question: Callable[[UnitOfWork], Question], criteria: SearchCriteria) -> SearchResult:
-        """The answer to the search that `question` reads. Raises its errors; BadField."""
+        """The answer to the search that `question` reads. Raises its errors; BadField, Unavailable."""
         version = self._transactions.version()
-        asked, news, found = self._transactions.read_here(lambda uow: self._answer(uow, question, criteria, version))
-        if found is None:
-            found = self.search(asked.map_record, asked.vector, criteria, asked.where)
-        if news is not None and version is not None:
-            self._caught_up[asked.map_record.number] = version, news.seq
-        return found
+        asked, found = self._transactions.read_here(lambda uow: self._answer(uow, question, criteria, version))
+        return found or self.search(asked.map_record, asked.vector, criteria, asked.where)
 
     def _answer(
         self, uow: UnitOfWork, question: Callable[[UnitOfWork], Question], criteria: SearchCriteria, version: int | None
-    ) -> tuple[Question, _News | None, SearchResult | None]:
-        """As `_asked`, and the answer: if the index is in the end at this snapshot, and no further."""
-        asked, news = self._asked(uow, question, version)
-        record, where, found = asked.map_record, asked.where, None
-        if news is not None:
-            matches, seq = self._matches(record, asked.vector, criteria.k, lambda: where, news)
-            if seq == news.seq == self._index.seq(record.number):
-                hits = _hits(uow, record, _alike(matches, criteria), self._sessions, record)
-                found = self._result(record, where, hits)
-        return asked, news, found
-
-    def _asked(
-        self, uow: UnitOfWork, question: Callable[[UnitOfWork], Question], version: int | None
-    ) -> tuple[Question, _News | None]:
-        """The search, and in the same snapshot the changes that the index of the map lacks.
-
-        Nothing where it knew everything as of `version`, and nothing was committed since. No news of an index that is
-        still to be loaded, or that lacks more than a portion.
-        """
+    ) -> tuple[Question, SearchResult | None]:
+        """The search, and its answer as of the same snapshot, where there is one at once."""
         asked = question(uow)
         record = asked.map_record
-        before = self._index.seq(record.number)
-        if not before:
-            return asked, None
-        if version is not None and self._caught_up.get(record.number) == (version, before):
-            return asked, _News(before, [])
-        changes = _changes(uow, record.tenant, record.number, before)
-        return asked, _News(before, changes) if len(changes) <= PORTION else None
+        of_index = PlaceQuestion(record.tenant, record.number, asked.vector, criteria.k, asked.where)
+        answer = self._search.nearest_in(uow, of_index, version)
+        return asked, None if answer is None else self._result(uow, record, answer, criteria, record)
 
     def search(
         self,
@@ -187,27 +94,25 @@ class PlaceMemory:
         criteria: SearchCriteria,
         where: VectorFilter,
     ) -> SearchResult:
-        """The answer to a client's search."""
-        found, _ = self._matches(map_record, vector, criteria.k, lambda: where)
-        matches = _alike(found, criteria)
-        hits = self._transactions.read_here(partial(_hits, map_record=map_record, matches=matches, kept=self._sessions))
-        return self._result(map_record, where, hits)
+        """The answer to a client's search. Raises as `answer`."""
+        asked = PlaceQuestion(map_record.tenant, map_record.number, vector, criteria.k, where)
+        answer = self._search.nearest(asked)
+        return self._transactions.read_here(lambda uow: self._result(uow, map_record, answer, criteria))
 
-    def _result(self, map_record: MapRecord, where: VectorFilter, hits: tuple[SearchHit, ...]) -> SearchResult:
-        return SearchResult(hits, self._index.size(map_record.number), self.on_other_storeys(map_record, where))
-
-    def on_other_storeys(self, map_record: MapRecord, where: VectorFilter) -> int:
-        """How many submaps of the map's index were left out, as they are on another storey."""
-        number, comparable = map_record.number, where.only_sessions
-        return 0 if comparable is None else self._index.size(number) - self._index.size(number, comparable)
-
-
-def _changes(uow: UnitOfWork, tenant: TenantId, number: int, seq: int) -> list[IndexChange]:
-    """A portion of the changes after `seq`, and one more, if there is any."""
-    return uow.changes.since(tenant, number, seq, PORTION + 1)
+    def _result(
+        self,
+        uow: UnitOfWork,
+        map_record: MapRecord,
+        answer: PlaceAnswer,
+        criteria: SearchCriteria,
+        as_of: MapRecord | None = None,
+    ) -> SearchResult:
+        """As a client sees it; `as_of` is the record of the map where it was read in this transaction."""
+        hits = _hits(uow, map_record, _alike(answer.matches, criteria), self._sessions, as_of)
+        return SearchResult(hits, answer.searched, answer.on_other_storeys)
 
 
-def _alike(matches: list[VectorMatch], criteria: SearchCriteria) -> list[VectorMatch]:
+def _alike(matches: Sequence[VectorMatch], criteria: SearchCriteria) -> list[VectorMatch]:
     """Those that are as similar as is asked for."""
     floor = -1.0 if criteria.min_similarity is None else criteria.min_similarity
     return [match for match in matches if match.similarity >= floor]
@@ -274,7 +179,7 @@ def _session_number(uow: UnitOfWork, tenant: TenantId, map_id: str, session_id: 
     return session.number
 
 
-def _places(uow: UnitOfWork, tenant: TenantId, matches: list[VectorMatch]) -> tuple[RecalledPlace, ...]:
+def _places(uow: UnitOfWork, tenant: TenantId, matches: Sequence[VectorMatch]) -> tuple[RecalledPlace, ...]:
     """The submaps behind the matches; one that was deleted a moment ago is left out."""
     submaps = uow.submaps.numbered(tenant, [match.submap_number for match in matches])
     present = (match for match in matches if match.submap_number in submaps)

@@ -143,7 +143,7 @@ class SubmapDescriptionJob:
         submap, context = query.submap, self._context
         where = partial(_loop_filter, submap=submap, config=config)
         vector = np.frombuffer(require_descriptor(submap), dtype="<f4")
-        recalled = self._memory.recall(query.map, vector, config.loop.candidates, where, before=submap.entered)
+        recalled = self._memory.recall(query.map, vector, config.loop.candidates, where, submap.entered).places
         kept, revised = self._judged(query, recalled, config)
         commit = LoopCommit(context.policy, lease, query, kept, revised, context.clock.wall_ns())
         failpoint("job.before_commit")

@@ -63,20 +63,20 @@ class CloudQueryJob:
         config = self._context.policy.for_map(map_record)
         k = criteria_from_json(lease.job.payload["criteria"]).k
         compared = max(k, config.loop.candidates)
-        recalled = self._memory.recall(map_record, description.descriptor, compared, lambda _: where)
-        verdicts = [self._comparison.verify(description.place, one, config) for one in recalled]
+        recall = self._memory.recall(map_record, description.descriptor, compared, lambda _: where)
+        verdicts = [self._comparison.verify(description.place, one, config) for one in recall.places]
         # A cloud is of no drive and has no odometry: its own frame is all there is.
         query = Station(None, 0, np.eye(4))
         claims = [
-            LoopClaim(query, station(one.submap), verdict) for one, verdict in zip(recalled, verdicts, strict=True)
+            LoopClaim(query, station(one.submap), verdict) for one, verdict in zip(recall.places, verdicts, strict=True)
         ]
-        in_map = stations_in_map(self._context.transactions, [one.submap for one in recalled])
+        in_map = stations_in_map(self._context.transactions, [one.submap for one in recall.places])
         claims = accept_cloud(claims, in_map, config)
-        judged = [JudgedPlace(one, claim) for one, claim in zip(recalled, claims, strict=True)]
+        judged = [JudgedPlace(one, claim) for one, claim in zip(recall.places, claims, strict=True)]
         found = _localization(judged, k, config)
         pose = self._context.transactions.read(partial(_in_map, found=found, judged=judged)).result()
-        left_out = self._memory.on_other_storeys(map_record, where)
-        self._context.complete(lease, localization_to_json(replace(found, in_map=pose, on_other_storeys=left_out)))
+        answer = replace(found, in_map=pose, on_other_storeys=recall.on_other_storeys)
+        self._context.complete(lease, localization_to_json(answer))
 
     def _query(self, lease: Lease) -> tuple[MapRecord, VectorFilter]:
         return self._context.transactions.read(partial(_queried, job=lease.job)).result()
