@@ -7,6 +7,7 @@ An exception's docstring is its default message; `service/status.py` maps every 
 from __future__ import annotations
 
 import inspect
+from collections.abc import Mapping
 from enum import StrEnum
 
 
@@ -14,11 +15,7 @@ class ErrorCode(StrEnum):
     """Every reason the product gives for refusing something."""
 
     MALFORMED_BODY = "MALFORMED_BODY"
-    EMPTY_CLOUD = "EMPTY_CLOUD"
-    NON_FINITE_POINTS = "NON_FINITE_POINTS"
-    DEGENERATE_CLOUD = "DEGENERATE_CLOUD"
-    OUT_OF_RANGE = "OUT_OF_RANGE"
-    BAD_TRANSFORM = "BAD_TRANSFORM"
+    UNUSABLE_CLOUD = "UNUSABLE_CLOUD"
     BAD_FIELD = "BAD_FIELD"
     UNSUPPORTED_ENCODING = "UNSUPPORTED_ENCODING"
     TOO_LARGE = "TOO_LARGE"
@@ -29,7 +26,6 @@ class ErrorCode(StrEnum):
     DESCRIPTOR_MODEL_MISMATCH = "DESCRIPTOR_MODEL_MISMATCH"
     NOT_READY = "NOT_READY"
     SEQ_GAP = "SEQ_GAP"
-    STREAM_NOT_OPEN = "STREAM_NOT_OPEN"
     STREAM_FENCED = "STREAM_FENCED"
     RATE = "RATE"
     QUOTA = "QUOTA"
@@ -45,6 +41,22 @@ class ErrorCode(StrEnum):
     EXTRA_MISSING = "EXTRA_MISSING"
     DATA_LOSS = "DATA_LOSS"
     INTERNAL = "INTERNAL"
+
+    @classmethod
+    def _missing_(cls, value: object) -> ErrorCode | None:
+        """The code that a former one belongs to: stored failures keep the name that they were written with."""
+        return cls[FORMER_CODES[value]] if isinstance(value, str) and value in FORMER_CODES else None
+
+
+FORMER_CODES: Mapping[str, str] = {
+    "EMPTY_CLOUD": "UNUSABLE_CLOUD",
+    "NON_FINITE_POINTS": "UNUSABLE_CLOUD",
+    "DEGENERATE_CLOUD": "UNUSABLE_CLOUD",
+    "OUT_OF_RANGE": "UNUSABLE_CLOUD",
+    "BAD_TRANSFORM": "BAD_FIELD",
+    "STREAM_NOT_OPEN": "MALFORMED_BODY",
+}
+"""Former codes, and the one of today that asks the same of a client."""
 
 
 class RevisitError(Exception):
@@ -68,31 +80,31 @@ class MalformedBody(RevisitError):
 class EmptyCloud(RevisitError):
     """The cloud holds too few points to describe a place."""
 
-    code = ErrorCode.EMPTY_CLOUD
+    code = ErrorCode.UNUSABLE_CLOUD
 
 
 class NonFinitePoints(RevisitError):
     """Too many points of the cloud are NaN or infinite."""
 
-    code = ErrorCode.NON_FINITE_POINTS
+    code = ErrorCode.UNUSABLE_CLOUD
 
 
 class DegenerateCloud(RevisitError):
     """The points are identical or lie on one line: no place can be described from them."""
 
-    code = ErrorCode.DEGENERATE_CLOUD
+    code = ErrorCode.UNUSABLE_CLOUD
 
 
 class OutOfRange(RevisitError):
     """Coordinates lie beyond 10 km of the frame's origin: give metres, not millimetres; else re-base the origin."""
 
-    code = ErrorCode.OUT_OF_RANGE
+    code = ErrorCode.UNUSABLE_CLOUD
 
 
 class BadTransform(RevisitError):
     """The transform is not a rigid motion."""
 
-    code = ErrorCode.BAD_TRANSFORM
+    code = ErrorCode.BAD_FIELD
 
 
 class BadField(RevisitError):

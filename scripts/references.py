@@ -14,13 +14,12 @@ OF_THE_MACHINE = {"workers": "one less than the cores, at least 1"}
 """Defaults of settings that are not the same everywhere."""
 
 ADVICE = {
-    "MALFORMED_BODY": "Check that the bytes are what Content-Type says, and complete.",
-    "EMPTY_CLOUD": "Send a cloud with more points; leave scans without returns out.",
-    "NON_FINITE_POINTS": "Filter NaN and infinite points before sending; a few are dropped without complaint.",
-    "DEGENERATE_CLOUD": "Look at the sensor: all its points are one point or one line.",
-    "OUT_OF_RANGE": "Send points in the sensor frame and put the position into the pose.",
-    "BAD_TRANSFORM": "Send a unit quaternion (x, y, z, w) or a rotation matrix without scale.",
-    "BAD_FIELD": "Read `field` and `detail`: they name the value and its bounds.",
+    "MALFORMED_BODY": "Check that the bytes are what Content-Type says, and complete. A stream begins with Open, then "
+    "sends scans only.",
+    "UNUSABLE_CLOUD": "Leave this cloud out and go on. Where it happens often: filter NaN and infinite points, send "
+    "points in metres in the sensor frame, and look at the sensor.",
+    "BAD_FIELD": "Read `field` and `detail`: they name the value and its bounds. A pose takes a unit quaternion "
+    "(x, y, z, w) or a rotation matrix without scale.",
     "UNSUPPORTED_ENCODING": "Use one of the content types and encodings of the API description.",
     "TOO_LARGE": "Send fewer points, compress the body, or use a binary format in place of ASCII.",
     "NOT_FOUND": "Create the resource first; check the id.",
@@ -30,7 +29,6 @@ ADVICE = {
     "DESCRIPTOR_MODEL_MISMATCH": "Search with descriptors of the map's model. After an upgrade: `revisit reembed`.",
     "NOT_READY": "Wait for the submap's operation.",
     "SEQ_GAP": "Send the scan of `expected_seq` next; the SDK does so.",
-    "STREAM_NOT_OPEN": "Send Open first, then scans only.",
     "STREAM_FENCED": "Let only one client stream a session; the newest one keeps it.",
     "QUOTA": "Delete sessions or maps that you do not need, or ask for more room; then send the same again.",
     "RATE": "Read the answers of your stream.",
@@ -54,7 +52,7 @@ ADVICE = {
 
 def errors() -> str:
     """docs/reference/errors.md."""
-    from revisit.core.errors import ErrorCode
+    from revisit.core.errors import FORMER_CODES, ErrorCode
     from revisit.service.status import STATUS
 
     meanings = dict(_meanings())
@@ -77,6 +75,8 @@ def errors() -> str:
             " ".join(meanings.get(code.value, [])),
             ADVICE[code.value],
         ]
+    rows = [f"| `{former}` | `{today}` |" for former, today in FORMER_CODES.items()]
+    parts += ["## Former codes", "\n".join(["| former code | today |", "|---|---|", *rows])]
     return _page(parts)
 
 

@@ -29,11 +29,7 @@ _UNAVAILABLE = Status(503, "UNAVAILABLE", retryable=True)
 
 STATUS: dict[ErrorCode, Status] = {
     ErrorCode.MALFORMED_BODY: Status(400, "INVALID_ARGUMENT"),
-    ErrorCode.EMPTY_CLOUD: _INVALID,
-    ErrorCode.NON_FINITE_POINTS: _INVALID,
-    ErrorCode.DEGENERATE_CLOUD: _INVALID,
-    ErrorCode.OUT_OF_RANGE: _INVALID,
-    ErrorCode.BAD_TRANSFORM: _INVALID,
+    ErrorCode.UNUSABLE_CLOUD: _INVALID,
     ErrorCode.BAD_FIELD: _INVALID,
     ErrorCode.UNSUPPORTED_ENCODING: Status(415, "INVALID_ARGUMENT"),
     ErrorCode.TOO_LARGE: Status(413, "RESOURCE_EXHAUSTED"),
@@ -44,7 +40,6 @@ STATUS: dict[ErrorCode, Status] = {
     ErrorCode.DESCRIPTOR_MODEL_MISMATCH: _CONFLICT,
     ErrorCode.NOT_READY: _CONFLICT,
     ErrorCode.SEQ_GAP: _CONFLICT,
-    ErrorCode.STREAM_NOT_OPEN: _CONFLICT,
     ErrorCode.STREAM_FENCED: _CONFLICT,
     ErrorCode.RATE: _RATE,
     ErrorCode.QUOTA: _RATE,

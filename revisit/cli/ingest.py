@@ -44,7 +44,7 @@ REFUSED_TOLD = 5
 
 @dataclass(frozen=True)
 class Target:
-    """Where scans go. A new map gets `scene_scale`, one that exists must have it; None takes any.
+    """Where scans go. A new map gets `scene_scale` and `profile`, one that exists must have them; None takes any.
 
     So does a new session its `storey`.
     """
@@ -53,6 +53,7 @@ class Target:
     map_id: str
     session_id: str
     scene_scale: float | None = None
+    profile: str | None = None
     storey: str | None = None
 
 
@@ -126,6 +127,9 @@ def ingest(
     scene_scale: Annotated[
         float | None, typer.Option(min=0.01, max=10.0, help="Size of a new map's scene compared with a street.")
     ] = None,
+    profile: Annotated[
+        str | None, typer.Option(help="Profile of a new map: product, or paper, whose workers need torch.")
+    ] = None,
     storey: Annotated[
         str | None, typer.Option(help="Storey of a building, as B2: never compared with sessions on others.")
     ] = None,
@@ -145,7 +149,7 @@ def ingest(
         require_id("--session", session_id)
     recording = opened(folder, file_format, topic, odometry, mounting, poses)
     warn(recording)
-    target = Target(grpc, map_id, session_id or id_of(recording.name, "--session"), scene_scale, storey)
+    target = Target(grpc, map_id, session_id or id_of(recording.name, "--session"), scene_scale, profile, storey)
     try:
         _transfer(recording, target, Extent(limit, spool, finish, wait), json)
     except KeyboardInterrupt as error:
@@ -245,15 +249,17 @@ def _tell_refused(recording: Recording, refused: tuple[RefusedScan, ...]) -> Non
 def _open_session(client: Client, target: Target) -> Session:
     """The session, created with its map where they do not exist.
 
-    Exits where the map has another scale than was asked for, or the session another storey.
+    Exits where the map has another scale or profile than was asked for, or the session another storey.
     """
     map_name = f"maps/{target.map_id}"
     try:
         found = client.get_map(map_name)
     except NotFound:
-        found = client.create_map(target.map_id, scene_scale=target.scene_scale)
+        found = client.create_map(target.map_id, scene_scale=target.scene_scale, profile=target.profile)
     if target.scene_scale not in (None, found.scene_scale):
         raise refuse(f"{map_name} has scene scale {found.scene_scale:g}; a map keeps the one it was created with")
+    if target.profile not in (None, found.profile):
+        raise refuse(f"{map_name} is in the profile {found.profile}; a map keeps the one it was created with")
     try:
         session = client.get_session(f"{map_name}/sessions/{target.session_id}")
     except NotFound:

@@ -35,7 +35,7 @@ DRAIN_POLL_S = 0.1
 class StreamNotOpen(RevisitError):
     """The first message of a stream must be Open, and only the first."""
 
-    code = ErrorCode.STREAM_NOT_OPEN
+    code = ErrorCode.MALFORMED_BODY
 
 
 class ClientReadsNothing(RevisitError):

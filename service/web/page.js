@@ -10,7 +10,7 @@ import { listen } from "/keyboard.js";
 import { PairView } from "/pair.js";
 import { actionsOf } from "/review.js";
 import { MapView, roundMetres } from "/scene.js";
-import { stateOf, verdictOf } from "/words.js";
+import { stateOf, titleOf, verdictOf } from "/words.js";
 
 const STATUS_EVERY_MS = 5000;
 const LISTED_AT_ONCE = 120;
@@ -578,10 +578,7 @@ async function chooseMap() {
   const asked = mapOfAddress();
   const chosen = asked || (known(model.map) ? model.map : model.maps.at(-1)?.name);
   select.replaceChildren(
-    ...model.maps.map((map) => {
-      const option = element("option", { value: map.name }, map.display_name ? `${map.display_name} (${lastOf(map.name)})` : lastOf(map.name));
-      return option;
-    }),
+    ...model.maps.map((map) => element("option", { value: map.name }, titleOf(map))),
   );
   select.disabled = !model.maps.length;
   select.value = chosen ?? "";

@@ -14,6 +14,13 @@ const REASONS = {
   PLACE_LOST: ["Data lost", "The stored data of the candidate are damaged, so it could not be compared."],
 };
 
+/** A map by its name for people and its id, and by its profile where that is not the product's. */
+export function titleOf(map) {
+  const id = map.name.split("/").at(-1);
+  const title = map.display_name ? `${map.display_name} (${id})` : id;
+  return map.profile && map.profile !== "product" ? `${title}, profile ${map.profile}` : title;
+}
+
 /** accepted, ambiguous or rejected: how the page shows a loop closure. */
 export function stateOf(loop) {
   if (loop.state === "ACCEPTED") return "accepted";

@@ -268,12 +268,12 @@ def test_the_path_of_a_session_is_read_from_a_submap_on_and_back(write, read):
 def test_flags_and_failures_of_a_session_are_counted_of_this_tenant(write, read):
     _, _, first, second, _ = write(fill)
     write(lambda uow: uow.submaps.replace(replace(first, flags=("pose_jump", "mirrored"))))
-    write(lambda uow: uow.submaps.replace(replace(second, flags=("pose_jump",), failure_code="EMPTY_CLOUD")))
+    write(lambda uow: uow.submaps.replace(replace(second, flags=("pose_jump",), failure_code="UNUSABLE_CLOUD")))
 
     def counted(tenant, session_id):
         return read(lambda uow: uow.submaps.flag_counts(tenant, "town", session_id))
 
-    assert counted(TENANT, first.session_id) == {"pose_jump": 2, "mirrored": 1, "EMPTY_CLOUD": 1}
+    assert counted(TENANT, first.session_id) == {"pose_jump": 2, "mirrored": 1, "UNUSABLE_CLOUD": 1}
     assert counted(TENANT, "elsewhere") == counted(OTHER, first.session_id) == {}
 
 

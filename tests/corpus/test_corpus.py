@@ -215,7 +215,7 @@ def test_the_suite_itself_notices_a_wrong_answer_and_something_stored():
     with pytest.raises(AssertionError):
         judge(case, case.http, Answer(202, "", {}))
     with pytest.raises(AssertionError):
-        judge(case, case.http, Answer(422, "DEGENERATE_CLOUD", {}))
+        judge(case, case.http, Answer(422, "BAD_FIELD", {}))
     assert refused(case, "http") and refused(case, "grpc")
     assert filled({"a": ["{map}"]}, {"map": "maps/m"}) == {"a": ["maps/m"]}
     assert body_of("G01-empty.npy") == b""

@@ -25,8 +25,7 @@ SLACK_BYTES = 64 * MIB
 SLOWEST_S = 2.0
 """Of one core; tracing memory makes the slowest of them, bombs, several times as slow as 0.02 s."""
 REFUSALS = {
-    ErrorCode.MALFORMED_BODY, ErrorCode.EMPTY_CLOUD, ErrorCode.NON_FINITE_POINTS, ErrorCode.DEGENERATE_CLOUD,
-    ErrorCode.OUT_OF_RANGE, ErrorCode.BAD_FIELD, ErrorCode.BAD_TRANSFORM, ErrorCode.UNSUPPORTED_ENCODING,
+    ErrorCode.MALFORMED_BODY, ErrorCode.UNUSABLE_CLOUD, ErrorCode.BAD_FIELD, ErrorCode.UNSUPPORTED_ENCODING,
     ErrorCode.TOO_LARGE, ErrorCode.NOT_FOUND,
 }  # fmt: skip
 """What damage to a cloud, a message around one or a JSON body may be refused with."""

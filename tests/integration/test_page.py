@@ -171,6 +171,17 @@ def test_a_map_that_the_address_names_later_is_shown(chromium, service):
         shown.tab.close()
 
 
+def test_the_profile_of_a_map_is_shown_where_it_is_not_that_of_the_product(chromium, service):
+    with Client(service.http) as client:
+        client.create_map("thesis", display_name="The thesis", profile="paper")
+    shown = Page(chromium, service.http, "/#maps/thesis")
+    shown.tab.get_by_text("This map has no submaps yet").wait_for()
+    titles = shown.tab.locator("#map option").all_inner_texts()
+    assert "The thesis (thesis), profile paper" in titles and "The town (town)" in titles
+    assert shown.complaints == []
+    shown.tab.close()
+
+
 @pytest.mark.parametrize("address", ["/#maps/twon", "/?map=twon", "/#twon"])
 def test_a_map_that_does_not_exist_is_said_not_to_and_no_other_is_shown(chromium, service, address):
     shown = Page(chromium, service.http, address)

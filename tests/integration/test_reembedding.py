@@ -169,7 +169,7 @@ async def test_what_cannot_be_described_has_failed_with_the_reason_and_is_found_
     done = work_of(world, Choosy(), drafts).reembed(map_of(world))
     assert done.failures == dict.fromkeys(("b", "c"), "nothing to see in the scans")
     assert [(row.state, row.failure_code) for row in rows_of(world)] == [
-        ("DESCRIBED", None), ("FAILED", "DEGENERATE_CLOUD"), ("FAILED", "DEGENERATE_CLOUD"),
+        ("DESCRIBED", None), ("FAILED", "UNUSABLE_CLOUD"), ("FAILED", "UNUSABLE_CLOUD"),
     ]  # fmt: skip
     memory = memory_over(world.context.transactions, PlaceVectorIndex(FaissIndex))
     query = np.frombuffer(rows_of(world)[0].descriptor, "<f4")

@@ -103,7 +103,7 @@ def test_refused_scans_become_dead_letters_and_the_others_arrive(client, session
         drive(stream, 4, 6)
         stream.flush(timeout_s=PATIENCE_S)
         (dead,) = stream.dead_letters
-        assert (dead.seq, dead.reason, dead.stamp_ns) == (4, "NON_FINITE_POINTS", 3)
+        assert (dead.seq, dead.reason, dead.stamp_ns) == (4, "UNUSABLE_CLOUD", 3)
     check_stored(client, session, 6)
 
 

@@ -559,8 +559,8 @@ async def test_a_cloud_that_cannot_be_described_fails_at_once_with_its_reason(wo
     assert world.work_off() == 1
     operation = await world.use_cases.operations.wait(TENANT, posted.operation.operation_id, 1.0)
     view = await world.use_cases.submaps.get(TENANT, key("a"))
-    assert (operation.attempts, operation.failure_code) == (1, "DEGENERATE_CLOUD")
-    assert (view.state, view.failure_code) == (SubmapState.FAILED, "DEGENERATE_CLOUD")
+    assert (operation.attempts, operation.failure_code) == (1, "UNUSABLE_CLOUD")
+    assert (view.state, view.failure_code) == (SubmapState.FAILED, "UNUSABLE_CLOUD")
 
 
 async def test_a_job_that_raises_is_tried_three_times_and_others_proceed(world):

@@ -19,7 +19,7 @@ QUANTISED_GOOD = encode_quantised(GOOD)
 
 
 BAD_CLOUDS = {
-    "no points": (Cloud(encode_npy(GOOD[:0]), NPY), "EMPTY_CLOUD"),
+    "no points": (Cloud(encode_npy(GOOD[:0]), NPY), "UNUSABLE_CLOUD"),
     "truncated": (Cloud(QUANTISED_GOOD[:-9], QUANTISED), "MALFORMED_BODY"),
     "4 billion points": (
         Cloud(QUANTISED_GOOD[:4] + struct.pack("<I", 2**32 - 1) + QUANTISED_GOOD[8:], QUANTISED),
@@ -63,7 +63,7 @@ def test_the_same_submap_again_answers_again_and_another_cloud_is_a_conflict(cli
 
 
 def test_the_sdk_refuses_a_reflection_before_it_is_sent(client, session):
-    with pytest.raises(ApiError, match="BAD_TRANSFORM"):
+    with pytest.raises(ApiError, match=r"BAD_FIELD.*reflection"):
         client.post_submap(session, "mirror", GOOD, np.diag([1.0, 1.0, -1.0, 1.0]), 1)
 
 
@@ -222,5 +222,5 @@ def test_a_failed_operation_says_why(client, session):
     operation = client.post_submap(session, "dull", cloud_points(1, 668), pose(), 1)
     with pytest.raises(ApiError) as failed:
         client.wait(operation)
-    assert failed.value.reason == "DEGENERATE_CLOUD"
+    assert failed.value.reason == "UNUSABLE_CLOUD"
     assert client.get_submap(operation.subject).state == "FAILED"

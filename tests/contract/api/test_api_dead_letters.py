@@ -44,7 +44,7 @@ async def state_of(world, submap_id="poison"):
 
 
 def test_a_failed_description_is_listed_with_its_reason(client, failed):
-    assert (failed.state, failed.attempts, failed.failure_reason) == ("FAILED", 1, "DEGENERATE_CLOUD")
+    assert (failed.state, failed.attempts, failed.failure_reason) == ("FAILED", 1, "UNUSABLE_CLOUD")
     assert failed.failure_message == DegenerateCloud().message
     assert failed.name in [operation.name for operation in client.list_operations(state="FAILED")]
 
@@ -68,7 +68,7 @@ def test_the_command_line_lists_the_failed_and_queues_them_again(service, failed
     runner = CliRunner()
     listed = runner.invoke(app, ["operations", "--http", service.http, "--json"])
     found = {operation["name"]: operation for operation in json.loads(listed.output)}
-    assert found[failed.name]["failure_reason"] == "DEGENERATE_CLOUD"
+    assert found[failed.name]["failure_reason"] == "UNUSABLE_CLOUD"
     operation_id = failed.name.partition("/")[2]
     again = runner.invoke(app, ["operations", "--retry", operation_id, "--http", service.http, "--json"])
     assert [operation["state"] for operation in json.loads(again.output)] == ["QUEUED"]

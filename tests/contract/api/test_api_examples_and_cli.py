@@ -112,6 +112,19 @@ def test_a_recording_is_ingested_in_two_goes_and_not_a_third_time(recording, ser
     assert (third["scans_sent"], third["submaps"]) == (0, second["submaps"])
 
 
+def test_a_recording_is_ingested_into_a_new_map_of_the_profile_that_is_asked_for(recording, service):
+    where = ("--map", "thesis", "--grpc", service.grpc, "--json")
+    done = json.loads(invoke("ingest", recording, *where, "--profile", "paper", "--limit", 12, "--finish"))
+    assert done["described"] == done["submaps"] >= 1
+    with Client(service.http) as client:
+        assert client.get_map("maps/thesis").profile == "paper"
+    assert "profile paper" in invoke("maps", "thesis", "--http", service.http)
+    again = CliRunner().invoke(app, ["ingest", str(recording), *where, "--profile", "product"])
+    assert again.exit_code == 1 and "is in the profile paper" in again.stderr
+    unknown = CliRunner().invoke(app, ["ingest", str(recording), "--map", "x", *where[2:], "--profile", "thesis"])
+    assert "profile must be one of product, paper" in str(unknown.exception)
+
+
 def test_drives_on_two_storeys_are_ingested_apart(recording, service, tmp_path):
     where = ("--map", "storeys", "--grpc", service.grpc, "--json")
     for session, storey in (("below", "B1"), ("above", "B2"), ("below-again", "B1")):
@@ -167,8 +180,8 @@ def test_a_spool_is_shown_and_sent_from_the_command_line(service, tmp_path):
     assert (before["session"], before["pending"], before["committed_seq"]) == (session.name, 3, None)
     after = json.loads(invoke("spool", spool, "--send", "--grpc", service.grpc, "--json"))
     assert (after["pending"], after["committed_seq"]) == (0, 2)
-    assert [(dead["seq"], dead["reason"]) for dead in after["dead_letters"]] == [(2, "DEGENERATE_CLOUD")]
-    assert "DEGENERATE_CLOUD" in invoke("spool", spool)
+    assert [(dead["seq"], dead["reason"]) for dead in after["dead_letters"]] == [(2, "UNUSABLE_CLOUD")]
+    assert "UNUSABLE_CLOUD" in invoke("spool", spool)
 
 
 def test_loops_query_and_export_answer_for_an_ingested_recording(recording, service, tmp_path):

@@ -132,7 +132,7 @@ def test_a_submap_that_cannot_be_described_and_one_that_is_deleted_are_not_waite
     client.delete(gone.subject)
     paused.set()
     assert client.search(town, points=cloud_points(1), min_seq=gone.seq) == []
-    assert client.get_operation(failing.name).failure_reason == "DEGENERATE_CLOUD"
+    assert client.get_operation(failing.name).failure_reason == "UNUSABLE_CLOUD"
 
 
 @pytest.mark.parametrize("fresh", [(2**63, 1.0), (1, -0.1), (1, 60.1)])

@@ -138,7 +138,7 @@ def test_a_tilted_cloud_is_turned_upright_by_the_pose_that_comes_with_it(client,
     assert found.best is not None and found.best.submap == posted
     assert client.search(town, points=tilted)[0].similarity < 0.9
     assert client.search(town, points=tilted, T_level_query=T_level_query)[0].similarity > 0.98
-    with pytest.raises(InvalidArgument, match="BAD_TRANSFORM"):
+    with pytest.raises(InvalidArgument, match="BAD_FIELD"):
         client.localize(town, tilted, T_level_query=np.diag([2.0, 1.0, 1.0, 1.0]))
 
 

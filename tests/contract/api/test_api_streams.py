@@ -175,17 +175,18 @@ def test_time_that_goes_backwards_gets_a_nack_and_the_stream_lives(raw, session)
 def test_a_bad_scan_gets_a_nack_and_the_stream_lives(raw, session, service):
     talk = opened(raw, session)
     before = service.stored()
-    bad = {
-        "MALFORMED_BODY": scan_message(1, data=b"not a cloud"),
-        "NON_FINITE_POINTS": scan_message(1, data=BAD_CLOUD.data, content_type=NPY),
-        "UNSUPPORTED_ENCODING": scan_message(1, content_type="text/plain"),
-        "EMPTY_CLOUD": ingest_pb2.Scan(seq=1, t_odom_sensor=scan_message(1).t_odom_sensor),
-        "BAD_TRANSFORM": ingest_pb2.Scan(seq=1, cloud=scan_message(1).cloud),
-        "BAD_FIELD": scan_message(0),
-    }
-    for reason, message in bad.items():
+    bad = [
+        ("MALFORMED_BODY", "", scan_message(1, data=b"not a cloud")),
+        ("UNUSABLE_CLOUD", "NaN or infinite", scan_message(1, data=BAD_CLOUD.data, content_type=NPY)),
+        ("UNSUPPORTED_ENCODING", "", scan_message(1, content_type="text/plain")),
+        ("UNUSABLE_CLOUD", "is missing", ingest_pb2.Scan(seq=1, t_odom_sensor=scan_message(1).t_odom_sensor)),
+        ("BAD_FIELD", "T_odom_sensor", ingest_pb2.Scan(seq=1, cloud=scan_message(1).cloud)),
+        ("BAD_FIELD", "seq", scan_message(0)),
+    ]
+    for reason, words, message in bad:
         nack = talk.say(scan=message).hear().nack
         assert (nack.reason, nack.expected_seq) == (reason, 1)
+        assert words in nack.message
     assert service.stored() == before
     assert talk.say(scan=scan_message(1)).hear().ack.committed_seq == 1
 
@@ -206,9 +207,9 @@ def test_a_packed_cloud_is_taken_as_it_is(raw, session):
 
 def test_data_before_open_and_a_second_open_end_the_stream(raw, session):
     early = Conversation(raw).say(scan=scan_message(1))
-    assert code_of(early.hear) is grpc.StatusCode.FAILED_PRECONDITION
+    assert code_of(early.hear) is grpc.StatusCode.INVALID_ARGUMENT
     twice = opened(raw, session).say(open=ingest_pb2.Open(session=session.name))
-    assert code_of(twice.hear) is grpc.StatusCode.FAILED_PRECONDITION
+    assert code_of(twice.hear) is grpc.StatusCode.INVALID_ARGUMENT
     assert code_of(Conversation(raw).say(open=ingest_pb2.Open(session="nonsense")).hear) is (
         grpc.StatusCode.INVALID_ARGUMENT
     )
@@ -266,7 +267,7 @@ def test_the_sdk_leaves_out_a_bad_scan_and_goes_on(service, session):
         stream.send(BAD_CLOUD, pose(4.0), 4)
         drive(stream, 4, start=5)
         stream.flush()
-        assert stream.rejected == [(4, "NON_FINITE_POINTS")]
+        assert stream.rejected == [(4, "UNUSABLE_CLOUD")]
         assert "NaN or infinite" in stream.refusals[0].message
         assert stream.committed_seq == 7
 

@@ -137,7 +137,7 @@ async def test_a_job_that_fails_is_a_failed_span(recorded, spans):
     recorded.work()
     job = spans.get_finished_spans()[-1]
     assert job.status.status_code.name == "ERROR"
-    assert job.status.description.startswith("DEGENERATE_CLOUD: ")
+    assert job.status.description.startswith("UNUSABLE_CLOUD: ")
 
 
 @pytest.mark.parametrize("transport", ["rest", "grpc"])

@@ -120,9 +120,9 @@ def test_the_written_json_has_one_row_a_submap_and_the_documented_fields(
 def test_a_submap_the_method_refuses_is_a_row_with_its_reason(recording: KittiRecording) -> None:
     result = evaluate(recording, options(), method=Compass(refuses_below_x=-30.0))
     refused = [row for row in result.queries if row["failure"]]
-    assert refused and all(row["failure"].startswith("DEGENERATE_CLOUD") for row in refused)
+    assert refused and all(row["failure"].startswith("UNUSABLE_CLOUD") for row in refused)
     assert all(row["position"][0] < -25.0 and row["candidate_id"] is None for row in refused)
-    assert result.summary["failures"] == {"DEGENERATE_CLOUD": len(refused)}
+    assert result.summary["failures"] == {"UNUSABLE_CLOUD": len(refused)}
 
 
 def test_a_bad_scan_is_left_out_and_counted_and_the_others_keep_their_rows(

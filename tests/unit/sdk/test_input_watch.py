@@ -79,5 +79,5 @@ def test_what_the_service_will_refuse_raises_nothing_here(points, pose) -> None:
 
 def test_scans_that_the_service_will_refuse_are_told_of_once_before_they_are_sent() -> None:
     (millimetres,) = told(3, scale=1000.0)
-    assert "OUT_OF_RANGE" in millimetres
+    assert "UNUSABLE_CLOUD" in millimetres
     assert "metres, not millimetres" in millimetres

@@ -135,10 +135,10 @@ def test_acknowledged_scans_leave_and_no_others(spool):
 def test_a_refused_scan_becomes_a_dead_letter_and_its_successor_takes_its_number(spool):
     put(spool, 1, 2)
     spool.opened(7, "")
-    spool.refused(8, "EMPTY_CLOUD", "too few points")
+    spool.refused(8, "UNUSABLE_CLOUD", "too few points")
     (dead,) = spool.dead_letters()
     assert (dead.seq, dead.stamp_ns, dead.T_odom_sensor, dead.cloud_bytes) == (8, 1, POSE, 10)
-    assert (dead.reason, dead.message) == ("EMPTY_CLOUD", "too few points")
+    assert (dead.reason, dead.message) == ("UNUSABLE_CLOUD", "too few points")
     assert (stamps(spool), counts(spool), spool.state.dead_letters) == ([2], (1, 10), 1)
     spool.committed(8)
     assert (stamps(spool), counts(spool)) == ([], (0, 0))

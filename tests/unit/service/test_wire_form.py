@@ -51,7 +51,7 @@ EVIDENCE = {
     "covariance": [[1e-3, 0.0], [0.0, 2.5]],
     "nested": {"yes": True, "none": None},
 }
-FAILURE = {"failure_code": "DEGENERATE_CLOUD", "failure_message": "one line"}
+FAILURE = {"failure_code": "UNUSABLE_CLOUD", "failure_message": "one line"}
 POSE = np.array([[0.0, -1, 0, 1.5], [1, 0, 0, -2], [0, 0, 1, 0.25], [0, 0, 0, 1]])
 MAP = MapView(**vars(a_map()), session_count=3, submap_count=70_000, loop_policy=LoopPolicy(5, 0.5, 0.25, 0.0))
 IN_MAP = MapPose(pose_row(POSE), "frame-1", LARGE)
