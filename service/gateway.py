@@ -207,16 +207,16 @@ class _Gateway:
         return ListeningServer(config, listener), listener.getsockname()[1]
 
     def _grpc_server(self, use_cases: UseCases) -> tuple[grpc.aio.Server, int]:
+        from revisit.service.grpc.open_connections import OpenConnections
         from revisit.service.grpc.server import CONNECTIONS, create_server
-        from revisit.service.grpc.unauthenticated_connections import UnauthenticatedConnections
 
-        unauthenticated = UnauthenticatedConnections()
+        open_connections = OpenConnections()
         server = create_server(
             use_cases,
             requests=self._requests,
             tracer=self._tracer,
             described=not self._settings.exposed,
-            unauthenticated=unauthenticated,
+            open_connections=open_connections,
             connections=min(CONNECTIONS, self._open_files // 2),
         )
         host, port = self._settings.host, self._settings.grpc_port
@@ -225,7 +225,7 @@ class _Gateway:
             bound = server.add_insecure_port(address) if tls is None else server.add_secure_port(address, tls)
         except RuntimeError as error:
             raise OSError(f"port {port} for gRPC cannot be taken; REVISIT_GRPC_PORT names another") from error
-        self._lookout = asyncio.create_task(unauthenticated.watch(bound), name="unauthenticated-connections")
+        self._lookout = asyncio.create_task(open_connections.watch(bound), name="open-connections")
         return server, bound
 
 

@@ -5,14 +5,16 @@ from __future__ import annotations
 import asyncio
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
+from functools import partial
 from typing import Any
 
 from revisit.api.calls import CALLS, Call
-from revisit.core.errors import RevisitError
 from revisit.service.domain.callers import enter
-from revisit.service.domain.errors import PermissionDenied, TooManyFailures, Unauthenticated
+from revisit.service.domain.errors import Unauthenticated
+from revisit.service.edge import requests
+from revisit.service.edge.requests import refusal
 from revisit.service.features.keys.admission import STREAM_RECHECK_S, Credential
-from revisit.service.grpc.unauthenticated_connections import UnauthenticatedConnections
+from revisit.service.grpc.open_connections import OpenConnections
 from revisit.service.use_cases import UseCases
 
 
@@ -22,15 +24,15 @@ class Gate:
     def __init__(
         self,
         use_cases: UseCases,
-        unauthenticated: UnauthenticatedConnections | None = None,
+        open_connections: OpenConnections | None = None,
         *,
         recheck_s: float = STREAM_RECHECK_S,
     ) -> None:
-        """Verifies the credential of an open stream again every `recheck_s` seconds; tells `unauthenticated` of
-        admitted peers.
+        """Verifies the credential of an open stream again every `recheck_s` seconds; tells `open_connections`
+        of admitted peers.
         """
         self._access = use_cases.access
-        self._unauthenticated = unauthenticated or UnauthenticatedConnections()
+        self._open_connections = open_connections or OpenConnections()
         self._recheck_s = recheck_s
 
     async def admit(self, method: str, context: Any) -> None:
@@ -40,7 +42,7 @@ class Gate:
         """
         shown, peer = credential_of(context), str(context.peer())
         enter(await self._access.admit_call(shown, call_of(method).row.scopes, method))
-        self._unauthenticated.admit(peer)
+        self._open_connections.admit(peer)
 
     async def verify(self, method: str, shown: Credential) -> None:
         """As `admit`, again, for the credential of an open stream."""
@@ -76,33 +78,16 @@ class Gate:
             raise
 
     async def _watch(self, method: str, shown: Credential, stream: asyncio.Timeout) -> None:
-        while True:
-            await asyncio.sleep(self._recheck_s)
-            try:
-                await self.verify(method, shown)
-            except (Unauthenticated, PermissionDenied, TooManyFailures):
-                stream.reschedule(asyncio.get_running_loop().time())
-                return
-            except RevisitError:
-                # A store that does not answer now is asked again.
-                continue
+        await refusal(partial(self.verify, method, shown), self._recheck_s)
+        stream.reschedule(asyncio.get_running_loop().time())
 
 
 def credential_of(context: Any) -> Credential:
-    """The bearer token in the metadata, the names in a verified client certificate, and the peer's address.
-
-    Raises Unauthenticated where authorization is sent more than once.
-    """
-    shown = [str(value) for name, value in context.invocation_metadata() or () if name == "authorization"]
-    if len(shown) > 1:
-        raise Unauthenticated("send authorization once")
-    scheme, _, token = "".join(shown).partition(" ")
+    """The credential of a call: metadata, verified client certificate, the peer's address. Raises Unauthenticated."""
+    sent = [str(value) for name, value in context.invocation_metadata() or () if name == "authorization"]
     names = context.auth_context().get("x509_subject_alternative_name", ())
-    return Credential(
-        bearer=token.strip() if scheme.lower() == "bearer" else None,
-        certificate_names=tuple(name.decode("utf-8", "replace") for name in names),
-        address=_address_of(str(context.peer())),
-    )
+    decoded = [name.decode("utf-8", "replace") for name in names]
+    return requests.credential_of(sent, _address_of(str(context.peer())), decoded)
 
 
 def _address_of(peer: str) -> str:

@@ -8,13 +8,11 @@ from __future__ import annotations
 
 import asyncio
 import traceback
-import uuid
 from collections.abc import AsyncGenerator, AsyncIterator, Awaitable, Callable
 from contextlib import aclosing
 from typing import Any, TypeVar, cast
 
 import grpc
-import structlog
 from google.protobuf.duration_pb2 import Duration
 from google.protobuf.message import DecodeError, Message
 from google.rpc import error_details_pb2, status_pb2  # type: ignore[import-untyped]  # ships no types
@@ -26,9 +24,10 @@ from revisit.service.capacity.call_slots import CallSlots
 from revisit.service.capacity.slots import Slots
 from revisit.service.domain.callers import current_actor, current_tenant
 from revisit.service.domain.errors import DeadlineExceeded
+from revisit.service.edge.requests import REQUEST_ID, defect, request_id_of
 from revisit.service.grpc.access import Gate, call_of
 from revisit.service.grpc.public_calls import PublicCalls
-from revisit.service.grpc.tracing import OWN_METHODS, REQUEST_ID, STATUS_DETAILS
+from revisit.service.grpc.tracing import OWN_METHODS, STATUS_DETAILS
 from revisit.service.ports.tracing import current_request
 from revisit.service.status import ERROR_DOMAIN, STATUS, retry_after_s
 
@@ -53,8 +52,6 @@ HELD_FORMS = 2
 
 
 M = TypeVar("M")
-
-_log = structlog.get_logger(__name__)
 
 
 class ErrorInterceptor(grpc.aio.ServerInterceptor):  # type: ignore[type-arg]  # not generic at run time
@@ -243,10 +240,9 @@ def _refuse(context: Any, error: Exception) -> None:
     Not by `context.abort`: the call keeps its exception with all frames until the garbage collector comes round.
     Under a flood of refusals that took 48 ms every 11 s, and everybody waited (docs/decisions/0033).
     """
-    request_id = current_request().request_id or uuid.uuid4().hex
+    request_id = request_id_of(current_request().request_id)
     if not isinstance(error, RevisitError):
-        _log.exception("call failed unexpectedly", request_id=request_id, exc_info=error)
-        error = RevisitError("an internal error occurred; the request id leads to its log entry")
+        error = defect(error, request_id)
     status = rpc_status(error, request_id)
     # The frames of a refused call hold its message, and would until the garbage collector comes round.
     traceback.clear_frames(error.__traceback__)

@@ -8,9 +8,9 @@ from contextlib import asynccontextmanager, contextmanager
 
 from revisit.service.capacity.limits import PUBLIC_CALLS_WAITING, PUBLIC_WATCHES
 from revisit.service.capacity.slots import Slots
-from revisit.service.capacity.unauthenticated_limits import UnauthenticatedLimits, holder_of
 from revisit.service.domain.errors import DeadlineExceeded
-from revisit.service.grpc.unauthenticated_connections import endpoint_of
+from revisit.service.edge.connections import UnauthenticatedConnections, holder_of
+from revisit.service.grpc.open_connections import endpoint_of
 
 
 class PublicCalls:
@@ -18,7 +18,7 @@ class PublicCalls:
 
     def __init__(self) -> None:
         self._watches = Slots(PUBLIC_WATCHES)
-        self._waiting = UnauthenticatedLimits(PUBLIC_CALLS_WAITING)
+        self._waiting = UnauthenticatedConnections(PUBLIC_CALLS_WAITING)
 
     @contextmanager
     def watch(self, peer: str) -> Iterator[None]:

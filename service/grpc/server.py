@@ -13,9 +13,9 @@ from revisit.service.grpc.access import Gate
 from revisit.service.grpc.errors import LARGEST_MESSAGE_BYTES, ErrorInterceptor
 from revisit.service.grpc.handlers import handlers_of, services_of
 from revisit.service.grpc.health import HealthServicer
+from revisit.service.grpc.open_connections import OpenConnections
 from revisit.service.grpc.timing import CallTimer
 from revisit.service.grpc.tracing import CallTracing
-from revisit.service.grpc.unauthenticated_connections import UnauthenticatedConnections
 from revisit.service.metrics import RequestMetrics
 from revisit.service.ports.tracing import NoTracer, Tracer
 from revisit.service.use_cases import UseCases
@@ -56,17 +56,17 @@ def create_server(
     tracer: Tracer = NoTracer(),
     described: bool = True,
     call_limits: CallLimits = CallLimits(),
-    unauthenticated: UnauthenticatedConnections | None = None,
+    open_connections: OpenConnections | None = None,
     connections: int = CONNECTIONS,
 ) -> grpc.aio.Server:
     """A server over `use_cases` without a port: add one, start it on the running loop, stop it with a grace.
 
-    `described`: it answers reflection. `unauthenticated` is told of admitted peers. One of more `connections` than
+    `described`: it answers reflection. `open_connections` is told of admitted peers. One of more `connections` than
     these is closed at once. Raises RuntimeError for an RPC without a declaration of its scopes.
     """
     services = services_of(CALLS)
     timers = [] if requests is None else [CallTimer(requests)]
-    guard = ErrorInterceptor(Gate(use_cases, unauthenticated), CallSlots(call_limits), use_cases.budget)
+    guard = ErrorInterceptor(Gate(use_cases, open_connections), CallSlots(call_limits), use_cases.budget)
     server = grpc.aio.server(
         interceptors=[CallTracing(tracer), *timers, guard],
         options=(*OPTIONS, ("grpc.max_allowed_incoming_connections", connections)),

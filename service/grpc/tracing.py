@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import re
 import time
-import uuid
 from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
@@ -14,6 +12,7 @@ import structlog
 from google.rpc import error_details_pb2, status_pb2  # type: ignore[import-untyped]  # ships no types
 
 from revisit.core.errors import ErrorCode
+from revisit.service.edge.requests import REQUEST_ID, request_id_of
 from revisit.service.ports.tracing import (
     RequestContext,
     Role,
@@ -22,11 +21,9 @@ from revisit.service.ports.tracing import (
     within_request,
 )
 
-REQUEST_ID = "x-request-id"
 STATUS_DETAILS = "grpc-status-details-bin"
 
 OWN_METHODS = "/revisit."
-_REQUEST_ID = re.compile(r"[A-Za-z0-9._-]{1,64}", re.ASCII)
 
 log = structlog.get_logger(__name__)
 
@@ -73,7 +70,7 @@ class CallTracing(grpc.aio.ServerInterceptor):  # type: ignore[type-arg]  # not 
     @contextmanager
     def _call(self, method: str, context: Any) -> Iterator[None]:
         began_s, sent = time.perf_counter(), dict(context.invocation_metadata() or ())
-        request_id = _request_id(sent.get(REQUEST_ID))
+        request_id = request_id_of(sent.get(REQUEST_ID))
         context.set_trailing_metadata(((REQUEST_ID, request_id),))
         about = {"rpc.system": "grpc", "rpc.method": method, "revisit.request_id": request_id}
         given = validated_traceparent(_text(sent.get("traceparent")))
@@ -103,11 +100,6 @@ def reason_of(context: Any) -> ErrorCode | None:
     info = error_details_pb2.ErrorInfo()
     status_pb2.Status.FromString(details).details[0].Unpack(info)
     return ErrorCode(info.reason)
-
-
-def _request_id(sent: object) -> str:
-    text = _text(sent)
-    return text if text is not None and _REQUEST_ID.fullmatch(text) else uuid.uuid4().hex
 
 
 def _text(value: object) -> str | None:

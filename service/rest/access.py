@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 from collections.abc import Iterator
 from functools import partial
 from typing import Any
@@ -19,7 +18,8 @@ from revisit.api.scopes import Scope
 from revisit.core.errors import RevisitError
 from revisit.service.capacity.call_slots import CallSlots
 from revisit.service.domain.callers import enter
-from revisit.service.domain.errors import PermissionDenied, TooManyFailures, Unauthenticated
+from revisit.service.edge import requests
+from revisit.service.edge.requests import refusal
 from revisit.service.features.keys.admission import STREAM_RECHECK_S, Credential
 from revisit.service.rest.door import VOUCH
 from revisit.service.rest.event_stream import gone
@@ -56,15 +56,8 @@ async def admitted(request: Request, needed: SecurityScopes) -> None:
 async def until_refused(request: Request, scopes: frozenset[Scope]) -> RevisitError:
     """Why the caller of an answer that goes on has lost its right to it; returns once it has."""
     access, path = request.app.state.use_cases.access, f"{request.method} {request.url.path}"
-    while True:
-        await asyncio.sleep(STREAM_RECHECK_S)
-        try:
-            await access.admit(credential_of(request), scopes, call_of(request.scope), path)
-        except (Unauthenticated, PermissionDenied, TooManyFailures) as error:
-            return error
-        except RevisitError:
-            # A store that does not answer now is asked again.
-            continue
+    verify = partial(access.admit, credential_of(request), scopes, call_of(request.scope), path)
+    return await refusal(verify, STREAM_RECHECK_S)
 
 
 async def anyone(request: Request) -> None:
@@ -94,14 +87,8 @@ PUBLIC = Depends(anyone)
 
 
 def credential_of(request: Request) -> Credential:
-    """The bearer token of the Authorization header and the address of the connection.
-
-    Raises Unauthenticated where there is more than one such header: proxies and transports differ in which one counts.
-    """
-    if len(request.headers.getlist("authorization")) > 1:
-        raise Unauthenticated("send one Authorization header")
-    scheme, _, token = request.headers.get("authorization", "").partition(" ")
-    return Credential(token.strip() if scheme.lower() == "bearer" else None, address=_address_of(request))
+    """The credential of a request: headers and the address of the connection. Raises Unauthenticated."""
+    return requests.credential_of(request.headers.getlist("authorization"), _address_of(request))
 
 
 def _address_of(request: Request) -> str:

@@ -13,8 +13,8 @@ import socket
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from revisit.service.capacity.unauthenticated_limits import Shown, UnauthenticatedLimits
 from revisit.service.domain.errors import RateLimited
+from revisit.service.edge.connections import Shown, UnauthenticatedConnections
 from revisit.service.rest.errors import problem
 
 SHOWN_BYTES = 4096
@@ -68,7 +68,7 @@ class _Waiting:
 class Door:
     """Lets connections in, or sends them away. All calls come from the event loop."""
 
-    unauthenticated: UnauthenticatedLimits
+    unauthenticated: UnauthenticatedConnections
     let_in: Callable[[Arrival], None]
     encrypted: bool = False
     """Nothing can be seen of a connection before its handshake: one too many waits for its turn."""
@@ -169,7 +169,7 @@ VOUCH = "vouch"
 class Voucher:
     """Tells, once, that somebody was admitted over a connection."""
 
-    unauthenticated: UnauthenticatedLimits
+    unauthenticated: UnauthenticatedConnections
     address: str
     shown: Shown | None
     vouched: bool = False

@@ -7,7 +7,6 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
-import structlog
 from fastapi import FastAPI
 from fastapi.exceptions import RequestValidationError
 from starlette.exceptions import HTTPException
@@ -16,13 +15,12 @@ from starlette.responses import Response
 from starlette.types import Receive, Scope, Send
 
 from revisit.core.errors import BadField, ErrorCode, RevisitError
+from revisit.service.edge.requests import defect
 from revisit.service.status import STATUS, retry_after_s
 
 PROBLEM_JSON = "application/problem+json"
 MAX_DETAIL_CHARACTERS = 800
 MAX_LISTED_ERRORS = 20
-
-_log = structlog.get_logger(__name__)
 
 
 class UnknownPath(RevisitError):
@@ -108,9 +106,8 @@ def bad_field(errors: Sequence[Any]) -> BadField:
 
 
 def unexpected(error: Exception, request_id: str) -> Response:
-    """The answer to a defect: logged in full, told in brief."""
-    _log.exception("request failed unexpectedly", request_id=request_id, exc_info=error)
-    return problem(RevisitError("an internal error occurred; the request id leads to its log entry"), request_id)
+    """The answer to a defect."""
+    return problem(defect(error, request_id), request_id)
 
 
 # Starlette calls each handler with the class it was registered for; its signature says Exception.

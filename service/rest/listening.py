@@ -12,7 +12,7 @@ from typing import Any
 
 import uvicorn
 
-from revisit.service.capacity.unauthenticated_limits import UnauthenticatedLimits
+from revisit.service.edge.connections import UnauthenticatedConnections
 from revisit.service.rest.door import VOUCH, Arrival, Door, Voucher
 from revisit.service.rest.slow_clients import DeadlineProtocol
 
@@ -45,11 +45,11 @@ class ListeningServer(uvicorn.Server):
     """
 
     def __init__(
-        self, config: uvicorn.Config, listener: socket.socket, unauthenticated: UnauthenticatedLimits | None = None
+        self, config: uvicorn.Config, listener: socket.socket, unauthenticated: UnauthenticatedConnections | None = None
     ) -> None:
         super().__init__(config)
         self._listener = listener
-        self._unauthenticated = unauthenticated or UnauthenticatedLimits()
+        self._unauthenticated = unauthenticated or UnauthenticatedConnections()
         self._door = Door(self._unauthenticated, self._arrived)
         self._welcomes: set[asyncio.Task[None]] = set()
 

@@ -6,7 +6,6 @@ import asyncio
 import ipaddress
 import re
 import time
-import uuid
 from contextlib import ExitStack
 
 from starlette.datastructures import Headers, MutableHeaders
@@ -17,12 +16,12 @@ from revisit.service.capacity.byte_budget import ByteBudget, HeldBytes
 from revisit.service.domain.callers import current_tenant_or_none
 from revisit.service.domain.errors import DeadlineExceeded, WorkersBusy
 from revisit.service.domain.identity import TenantId
+from revisit.service.edge.requests import REQUEST_ID, request_id_of
 from revisit.service.metrics import RequestMetrics
 from revisit.service.rest.errors import REFUSED, ForeignOrigin, UnknownHost, problem, unexpected
 from revisit.service.rest.limits import HttpLimits
 from revisit.service.rest.tracing import call_of
 
-_REQUEST_ID = re.compile(r"[A-Za-z0-9._-]{1,64}", re.ASCII)
 _PORT = re.compile(r":[0-9]*$", re.ASCII)
 
 SECURITY_HEADERS = {
@@ -62,9 +61,9 @@ class RequestEnvelope:
         if scope["type"] != "http":
             await self._app(scope, receive, send)
             return
-        request_id = _request_id(scope)
+        request_id = request_id_of(Headers(scope=scope).get(REQUEST_ID))
         scope.setdefault("state", {})["request_id"] = request_id
-        headers = {**SECURITY_HEADERS, **(HSTS if scope["scheme"] == "https" else {}), "x-request-id": request_id}
+        headers = {**SECURITY_HEADERS, **(HSTS if scope["scheme"] == "https" else {}), REQUEST_ID: request_id}
         started = False
 
         async def send_with_headers(message: Message) -> None:
@@ -277,8 +276,3 @@ def _is_address(text: str) -> bool:
 def _is_foreign(headers: Headers) -> bool:
     origin = headers.get("origin")
     return origin is not None and origin.partition("://")[2] != headers.get("host")
-
-
-def _request_id(scope: Scope) -> str:
-    sent = Headers(scope=scope).get("x-request-id", "")
-    return sent if _REQUEST_ID.fullmatch(sent) else uuid.uuid4().hex

@@ -60,7 +60,7 @@ class DeadlineProtocol(H11Protocol):
     most_connections = CONNECTIONS
     most_pipelined = PIPELINED
     settle: Callable[[], None] | None = None
-    """To be called once the first request head is there, or the connection is gone: see `UnauthenticatedLimits`."""
+    """To be called once the first request head is there, or the connection is gone (`edge.connections`)."""
 
     _deadline: asyncio.TimerHandle | None = None
     _write_check: asyncio.TimerHandle | None = None

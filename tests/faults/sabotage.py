@@ -520,20 +520,12 @@ SABOTAGES = (
     ),
     Sabotage(
         "newcomers of one address are not bounded",
-        {
-            f"{SERVICE}capacity.unauthenticated_limits:UnauthenticatedLimits.arrive": lambda _arrive: (
-                lambda *_arguments: _settled
-            )
-        },
+        {f"{SERVICE}edge.connections:UnauthenticatedConnections.arrive": lambda _arrive: lambda *_arguments: _settled},
         f"{LIMITS}test_newcomers_of_one_address_give_way_to_one_another_and_to_nobody_else",
     ),
     Sabotage(
         "connections of one address may begin as fast as they like",
-        {
-            f"{SERVICE}capacity.unauthenticated_limits:UnauthenticatedLimits.may_begin": lambda _begins: (
-                lambda *_arguments: True
-            )
-        },
+        {f"{SERVICE}edge.connections:UnauthenticatedConnections.may_begin": lambda _begins: lambda *_arguments: True},
         f"{LIMITS}test_connections_without_a_credential_begin_at_a_pace_and_further_ones_are_sent_away_with_an_answer",
     ),
     Sabotage(
@@ -543,7 +535,7 @@ SABOTAGES = (
     ),
     Sabotage(
         "strangers may keep as many connections to gRPC as they like",
-        {f"{SERVICE}grpc.unauthenticated_connections:UnauthenticatedConnections.end_those_beyond": nothing},
+        {f"{SERVICE}grpc.open_connections:OpenConnections._count": nothing},
         f"{PLACES}test_connections_of_one_address_over_which_nobody_was_admitted_give_way_to_newer_ones",
     ),
     Sabotage(

@@ -19,7 +19,7 @@ import uvicorn
 from revisit.formats import QUANTISED, encode_quantised
 from revisit.service.capacity.byte_budget import ByteBudget
 from revisit.service.capacity.limits import ArrivalRates
-from revisit.service.capacity.unauthenticated_limits import UnauthenticatedLimits
+from revisit.service.edge.connections import UnauthenticatedConnections
 from revisit.service.rest.app import create_app
 from revisit.service.rest.door import AGAIN_S
 from revisit.service.rest.door import PATIENCE_S as PATIENCE_AT_THE_DOOR_S
@@ -319,7 +319,7 @@ def tls_context():
     ids=["nothing", "half a head", "half a TLS hello"],
 )
 def test_newcomers_of_one_address_give_way_to_one_another_and_to_nobody_else(tls, begin):
-    unauthenticated = UnauthenticatedLimits(3)
+    unauthenticated = UnauthenticatedConnections(3)
     with http_server(unauthenticated=unauthenticated, tls=tls) as server, contextlib.ExitStack() as held:
         elsewhere = connected(held, server, begin, "127.0.0.2")
         first, *others = [connected(held, server, begin) for _ in range(5)]
@@ -330,7 +330,7 @@ def test_newcomers_of_one_address_give_way_to_one_another_and_to_nobody_else(tls
 
 
 def test_whoever_has_asked_for_something_is_no_newcomer():
-    unauthenticated = UnauthenticatedLimits(2)
+    unauthenticated = UnauthenticatedConnections(2)
     with (
         http_server(unauthenticated=unauthenticated) as server,
         httpx.Client(base_url=server.url, trust_env=False) as client,
@@ -423,7 +423,7 @@ class Still:
     now_s = 0.0
 
     def unauthenticated(self):
-        return UnauthenticatedLimits(rates=FEW, now_s=lambda: self.now_s)
+        return UnauthenticatedConnections(rates=FEW, now_s=lambda: self.now_s)
 
 
 def asked(server, path, source="127.0.0.1", **headers):

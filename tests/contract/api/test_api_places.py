@@ -12,7 +12,8 @@ import pytest
 from google.rpc import error_details_pb2, status_pb2
 from grpc_health.v1 import health_pb2, health_pb2_grpc
 
-from revisit.service.grpc import errors, unauthenticated_connections
+from revisit.service.edge.connections import UnauthenticatedConnections
+from revisit.service.grpc import errors, open_connections
 from revisit.service.grpc.server import create_server
 from revisit.v1 import loop_closure_pb2, loop_closure_pb2_grpc, map_pb2, map_pb2_grpc
 from tests.support.credentials import a_key
@@ -214,9 +215,9 @@ async def test_connections_beyond_those_that_may_be_open_are_closed_at_once_unti
 
 
 async def test_connections_of_one_address_over_which_nobody_was_admitted_give_way_to_newer_ones(monkeypatch):
-    monkeypatch.setattr(unauthenticated_connections, "POLL_S", 0.01)
-    known = unauthenticated_connections.UnauthenticatedConnections(2)
-    async with small_server(unauthenticated=known) as port, channels(f"127.0.0.1:{port}", 1) as (channel,):
+    monkeypatch.setattr(open_connections, "POLL_S", 0.01)
+    known = open_connections.OpenConnections(UnauthenticatedConnections(2))
+    async with small_server(open_connections=known) as port, channels(f"127.0.0.1:{port}", 1) as (channel,):
         stub = map_pb2_grpc.MapServiceStub(channel)
         await stub.ListMaps(map_pb2.ListMapsRequest())
         elsewhere, first, *others = [await raw(port, OPENING, f"127.0.0.{1 + (number == 0)}") for number in range(4)]

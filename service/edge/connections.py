@@ -38,8 +38,8 @@ class Shown(StrEnum):
     """A credential that is not known, or nothing that can be read."""
 
 
-class UnauthenticatedLimits:
-    """One too many of an address closes the oldest unauthenticated one of that address.
+class UnauthenticatedConnections:
+    """Counts and paces. One too many of an address closes the oldest unauthenticated one of that address.
 
     All calls come from the event loop.
     """

@@ -1,4 +1,4 @@
-"""Unauthenticated gRPC connections, bounded by their source address.
+"""Open gRPC connections, counted by their source address until somebody is admitted over them.
 
 gRPC's C core accepts connections and tells nobody of them before their first call. So they are looked up among the
 open files of this process, and one too many is ended there; the core finds it closed. Where there is no /proc there is
@@ -12,13 +12,13 @@ import contextlib
 import os
 import socket
 import stat
-from collections import defaultdict
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 from urllib.parse import unquote
 
-from revisit.service.capacity.limits import UNAUTHENTICATED_PER_ADDRESS
-from revisit.service.capacity.unauthenticated_limits import holder_of
+from revisit.service.edge.connections import UnauthenticatedConnections
 
 POLL_S = 1.0
 """How often the connections are looked up."""
@@ -33,18 +33,20 @@ class Endpoint(NamedTuple):
     port: int
 
 
-class UnauthenticatedConnections:
-    """Of each address so many connections may be open over which nobody was admitted; older ones go first."""
+class OpenConnections:
+    """The connections to a port, each counted as unauthenticated until somebody is admitted over it."""
 
-    def __init__(self, most: int = UNAUTHENTICATED_PER_ADDRESS) -> None:
-        """`most` of each address."""
-        self._most = most
+    def __init__(self, unauthenticated: UnauthenticatedConnections | None = None) -> None:
+        """They count in `unauthenticated`, which ends those beyond its bound."""
+        self._unauthenticated = unauthenticated or UnauthenticatedConnections()
         self._admitted: set[Endpoint] = set()
-        self._unauthenticated: dict[Endpoint, None] = {}
+        self._counted: dict[Endpoint, Callable[[], None]] = {}
 
     def admit(self, peer: str) -> None:
         """Somebody was admitted over the connection from `peer`, which is written as gRPC does."""
-        self._admitted.add(endpoint_of(peer))
+        end = endpoint_of(peer)
+        self._admitted.add(end)
+        self._settle(end)
 
     async def watch(self, port: int) -> None:
         """Look every now and then until cancelled."""
@@ -53,18 +55,22 @@ class UnauthenticatedConnections:
             before = set(self._admitted)
             present = await asyncio.to_thread(_connections, port)
             self._admitted -= before - present.keys()
-            self.end_those_beyond(present)
+            self._count(present)
 
-    def end_those_beyond(self, present: dict[Endpoint, int]) -> None:
-        """End the unauthenticated connections beyond the limit among those `present`, with their files."""
-        self._unauthenticated = {end: None for end in self._unauthenticated if end in present} | dict.fromkeys(present)
-        by_holder: dict[str, list[Endpoint]] = defaultdict(list)
-        for end in self._unauthenticated:
-            if end not in self._admitted:
-                by_holder[holder_of(end.address)].append(end)
-        for ends in by_holder.values():
-            for end in ends[: max(0, len(ends) - self._most)]:
-                _end(present[end], end)
+    def _count(self, present: dict[Endpoint, int]) -> None:
+        """Count those `present`, with their files, that are new; those that are gone no more."""
+        for end in self._counted.keys() - present.keys():
+            self._settle(end)
+        for end, file in present.items():
+            if end not in self._admitted and end not in self._counted:
+                self._counted[end] = self._unauthenticated.arrive(end.address, partial(_end, file, end))
+
+    def _settle(self, end: Endpoint) -> None:
+        self._counted.pop(end, _nothing)()
+
+
+def _nothing() -> None:
+    """A connection that was not counted."""
 
 
 def endpoint_of(peer: str) -> Endpoint:

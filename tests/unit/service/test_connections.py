@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from revisit.service.capacity.limits import KNOWN_S, ArrivalRates
-from revisit.service.capacity.unauthenticated_limits import Shown, UnauthenticatedLimits, holder_of
+from revisit.service.edge.connections import Shown, UnauthenticatedConnections, holder_of
 
 
 @pytest.fixture
@@ -20,13 +20,13 @@ def arriving(unauthenticated, ended, *arrivals):
 
 
 def test_the_oldest_newcomer_of_an_address_leaves_where_it_has_too_many(ended):
-    unauthenticated = UnauthenticatedLimits(2)
+    unauthenticated = UnauthenticatedConnections(2)
     arriving(unauthenticated, ended, ("a", "10.0.0.1"), ("b", "10.0.0.1"), ("other", "10.0.0.2"), ("c", "10.0.0.1"))
     assert (ended, unauthenticated.of("10.0.0.1"), unauthenticated.of("10.0.0.2")) == (["a"], 2, 1)
 
 
 def test_one_that_has_settled_leaves_no_more_and_makes_room_once(ended):
-    unauthenticated = UnauthenticatedLimits(2)
+    unauthenticated = UnauthenticatedConnections(2)
     settle_a, _ = arriving(unauthenticated, ended, ("a", "10.0.0.1"), ("b", "10.0.0.1"))
     settle_a()
     settle_a()
@@ -64,7 +64,7 @@ def time():
 
 @pytest.fixture
 def arrivals(time):
-    return UnauthenticatedLimits(rates=RATES, now_s=lambda: time.now_s)
+    return UnauthenticatedConnections(rates=RATES, now_s=lambda: time.now_s)
 
 
 def begun(arrivals, *addresses):
