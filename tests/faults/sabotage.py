@@ -52,10 +52,11 @@ def nothing(_original: Any) -> Any:
 
 
 def _tell_at_once(attempt):
-    def told(connection, write):
-        outcome = attempt(connection, write)
-        outcome.tell()
-        time.sleep(0.05)
+    def told(committer, connection, write, *, first):
+        outcome = attempt(committer, connection, write, first=first)
+        if outcome is not None:
+            outcome.tell()
+            time.sleep(0.05)
         return outcome
 
     return told
@@ -224,8 +225,8 @@ SABOTAGES = (
     Sabotage(
         "the client is told before the commit",
         {
-            f"{LOCAL}sqlite.transactions:_attempt": _tell_at_once,
-            f"{LOCAL}sqlite.transactions:_Outcome.tell": _tell_once,
+            f"{ENGINES}group_commit:GroupCommitter._attempt": _tell_at_once,
+            f"{ENGINES}group_commit:_Outcome.tell": _tell_once,
         },
         f"{CRASH}test_an_undisturbed_drive_leaves_nothing_to_complain_about",
     ),
