@@ -12,6 +12,7 @@ from revisit.evaluation.simulator import vegetation
 from revisit.evaluation.simulator.blocks import Blocks, Floats, Material, block, joined
 from revisit.evaluation.simulator.buildings import STYLES, Facade, build_house
 from revisit.evaluation.simulator.paths import Path
+from revisit.evaluation.simulator.structure import Solids, Structure
 from revisit.evaluation.simulator.traffic import ParkingSlots, Traffic, random_traffic
 
 
@@ -64,11 +65,9 @@ class Ground:
 
 
 @dataclass(frozen=True)
-class World:
-    """A town: its fixed triangles (t, 3, 3) with materials (t,), and its changing and moving parts."""
+class World(Structure):
+    """A town: its fixed structure, and its changing and moving parts."""
 
-    triangles: NDArray[np.float32]
-    materials: NDArray[np.uint8]
     ground: Ground
     streets: tuple[Path, ...]
     parking: ParkingSlots
@@ -84,24 +83,19 @@ def build_city(streets: list[Path], seed: int, plan: TownPlan | None = None, dri
         _line_with_houses(street, site)
         _furnish(street, site)
     _plant_gardens(site)
-    triangles, materials = _fixed_triangles(site)
+    fixed = _fixed(site)
     return World(
-        triangles=triangles, materials=materials, ground=site.ground, streets=tuple(streets),
+        triangles=fixed.triangles, materials=fixed.materials, ground=site.ground, streets=tuple(streets),
         parking=_parking(streets, site, seed),
         traffic=random_traffic(streets, plan.moving_cars_per_km, plan.people_per_km, plan.kerb + 1.2, rng),
     )  # fmt: skip
 
 
-def _fixed_triangles(site: _Site) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
-    """Everything that stays, (t, 3, 3), and its materials (t,)."""
+def _fixed(site: _Site) -> Structure:
+    """Everything that stays, the ground first."""
     soil, soil_materials = _ground_mesh(site)
-    blocks = joined(site.solids)
-    leaves = np.concatenate([np.zeros((0, 3, 3), np.float32), *site.foliage])
-    leaf_materials = np.full(len(leaves), Material.LEAF, np.uint8)
-    return (
-        np.concatenate([soil, blocks.triangles(), leaves]),
-        np.concatenate([soil_materials, blocks.triangle_materials(), leaf_materials]),
-    )
+    built = site.solids.built()
+    return Structure(np.concatenate([soil, built.triangles]), np.concatenate([soil_materials, built.materials]))
 
 
 def _lay_ground(streets: list[Path], plan: TownPlan, rng: np.random.Generator) -> Ground:
@@ -156,8 +150,7 @@ class _Site:
     ground: Ground
     plot: _Plot
     rng: np.random.Generator
-    solids: list[Blocks] = field(default_factory=list)
-    foliage: list[NDArray[np.float32]] = field(default_factory=list)
+    solids: Solids = field(default_factory=Solids)
 
 
 @dataclass(frozen=True)
@@ -197,7 +190,7 @@ def _build_lot(street: Path, arc: float, side: float, front: float, house: _Hous
     if not site.plot.claim(footprint):
         return
     level = float(site.ground.height(corner[None])[0])
-    site.solids.append(build_house(house.style, width, depth, site.rng).placed([*corner, level], yaw))
+    site.solids.blocks.append(build_house(house.style, width, depth, site.rng).placed([*corner, level], yaw))
     kerb_gap = front - (site.ground.kerb + site.plan.pavement)
     if kerb_gap > 1.5:
         ends = site.ground.on(corner - inward * (kerb_gap - 0.6) + np.outer([-width / 2, width * 0.3], ahead))
@@ -208,9 +201,9 @@ def _build_lot(street: Path, arc: float, side: float, front: float, house: _Hous
 def _bound_garden(ends: Floats, site: _Site) -> None:
     choice = site.rng.random()
     if choice < 0.55:
-        site.foliage.append(vegetation.hedge(ends[0], ends[1], site.rng.uniform(0.9, 1.9), site.rng))
+        site.solids.add(vegetation.hedge(ends[0], ends[1], site.rng.uniform(0.9, 1.9), site.rng), Material.LEAF)
     elif choice < 0.85:
-        site.solids.append(vegetation.fence(ends[0], ends[1], site.rng.uniform(0.9, 1.5)))
+        site.solids.blocks.append(vegetation.fence(ends[0], ends[1], site.rng.uniform(0.9, 1.5)))
 
 
 def _furnish(street: Path, site: _Site) -> None:
@@ -228,13 +221,13 @@ def _furnish(street: Path, site: _Site) -> None:
                 _plant_tree(base, site)
             elif choice < 0.75:
                 yaw = float(street.heading(arc)) + (0.0 if side > 0 else np.pi)
-                site.solids.append(_furniture(site.rng).placed(base, yaw))
+                site.solids.blocks.append(_furniture(site.rng).placed(base, yaw))
 
 
 def _plant_tree(base: Floats, site: _Site) -> None:
     trunk, leaves = vegetation.tree(base, site.rng)
-    site.solids.append(trunk)
-    site.foliage.append(leaves)
+    site.solids.blocks.append(trunk)
+    site.solids.add(leaves, Material.LEAF)
 
 
 def _furniture(rng: np.random.Generator) -> Blocks:
@@ -260,7 +253,7 @@ def _plant_gardens(site: _Site) -> None:
     spots = spots[site.plot.clear_of_drive(spots, 5.0)]
     for index, base in enumerate(site.ground.on(spots)):
         if index % 2:
-            site.foliage.append(vegetation.bush(base, site.rng))
+            site.solids.add(vegetation.bush(base, site.rng), Material.LEAF)
         else:
             _plant_tree(base, site)
 

@@ -11,7 +11,7 @@ from scipy.ndimage import gaussian_filter
 from scipy.spatial import cKDTree
 
 from lab.worlds import vegetation
-from lab.worlds.open_world import OpenWorld, Solids
+from lab.worlds.open_world import OpenSolids, OpenWorld
 from lab.worlds.relief import NearestHeights, ground_triangles
 from revisit.evaluation.simulator.blocks import Floats, Material
 from revisit.evaluation.simulator.paths import Path
@@ -42,7 +42,7 @@ def facade_world(folder: Folder, seed: int = 77) -> OpenWorld:
         buildings = mesh["v"][mesh["f"]].astype(np.float32)
     walls = _feet(buildings)
     ground, way = _ground(walls), facade_way()
-    solids = Solids()
+    solids = OpenSolids()
     solids.add(buildings, Material.WALL)
     _plant(solids, way, walls, ground, rng)
     _mark_parking(solids, way, walls, ground, rng)
@@ -70,7 +70,7 @@ def _ground(walls: Floats, cell_m: float = 15.0) -> NearestHeights:
     return NearestHeights(np.column_stack([xy.reshape(-1, 2), smooth(xy.reshape(-1, 2))]))
 
 
-def _plant(solids: Solids, way: Path, walls: Floats, ground: NearestHeights, rng: np.random.Generator) -> None:
+def _plant(solids: OpenSolids, way: Path, walls: Floats, ground: NearestHeights, rng: np.random.Generator) -> None:
     driven, standing = cKDTree(way.sampled(1.0).points), cKDTree(walls[:, :2])
     spots = way.at(rng.uniform(0, way.length, _PLANTS)) + rng.normal(scale=22.0, size=(_PLANTS, 2))
     free = (driven.query(spots)[0] > _KEPT_FREE_M) & (standing.query(spots)[0] > 1.5)
@@ -78,7 +78,9 @@ def _plant(solids: Solids, way: Path, walls: Floats, ground: NearestHeights, rng
         solids.add(*vegetation.plant(np.append(spot, float(ground.terrain(spot))), rng))
 
 
-def _mark_parking(solids: Solids, way: Path, walls: Floats, ground: NearestHeights, rng: np.random.Generator) -> None:
+def _mark_parking(
+    solids: OpenSolids, way: Path, walls: Floats, ground: NearestHeights, rng: np.random.Generator
+) -> None:
     standing = cKDTree(walls[:, :2])
     arcs = rng.uniform(0, way.length, _SLOTS)
     spots = way.beside(arcs, rng.choice([-1.0, 1.0], _SLOTS) * rng.uniform(3.8, 4.8, _SLOTS))

@@ -1,13 +1,13 @@
-"""The world of every domain: triangles with materials, the ground to drive on, and parking spots."""
+"""The world of every domain: structure, the ground to drive on, and parking spots."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from revisit.evaluation.simulator.blocks import Blocks, Floats, Material, block, joined
+from revisit.evaluation.simulator.structure import Solids, Structure
 from revisit.evaluation.simulator.trajectories import Terrain
 
 _SHARE_PARKED = 0.6
@@ -21,11 +21,9 @@ CAR = joined(
 
 
 @dataclass(frozen=True)
-class OpenWorld:
-    """Triangles (t, 3, 3), their materials (t,), the ground, and `slots` (s, 4): x, y, z, yaw of parked cars."""
+class OpenWorld(Structure):
+    """A structure, the ground, and `slots` (s, 4): x, y, z, yaw of parked cars."""
 
-    triangles: NDArray[np.float32]
-    materials: NDArray[np.uint8]
     ground: Terrain
     slots: Floats = field(default_factory=lambda: np.zeros((0, 4)))
 
@@ -36,23 +34,12 @@ class OpenWorld:
 
 
 @dataclass
-class Solids:
-    """Blocks and loose triangles while a world is being built."""
+class OpenSolids(Solids):
+    """Solids with parking slots x, y, z, yaw."""
 
-    blocks: list[Blocks] = field(default_factory=list)
-    triangles: list[NDArray[np.float32]] = field(default_factory=list)
-    materials: list[NDArray[np.uint8]] = field(default_factory=list)
     slots: list[tuple[float, float, float, float]] = field(default_factory=list)
-
-    def add(self, triangles: NDArray[np.float32], material: Material | NDArray[np.uint8]) -> None:
-        """Add triangles (n, 3, 3), all of one material or of theirs (n,)."""
-        self.triangles.append(triangles)
-        given = np.full(len(triangles), material, dtype=np.uint8) if isinstance(material, Material) else material
-        self.materials.append(given)
 
     def finished(self, ground: Terrain) -> OpenWorld:
         """The world."""
-        built = joined(self.blocks)
-        triangles = np.concatenate([built.triangles(), *self.triangles]).astype(np.float32)
-        materials = np.concatenate([built.triangle_materials(), *self.materials])
-        return OpenWorld(triangles, materials, ground, np.array(self.slots).reshape(-1, 4))
+        built = self.built()
+        return OpenWorld(built.triangles, built.materials, ground, np.array(self.slots).reshape(-1, 4))

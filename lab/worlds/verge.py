@@ -12,7 +12,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from lab.worlds import vegetation
-from lab.worlds.open_world import OpenWorld, Solids
+from lab.worlds.open_world import OpenSolids, OpenWorld
 from lab.worlds.relief import Waves, ground_triangles
 from revisit.evaluation.simulator.blocks import Blocks, Floats, Material, block, joined
 from revisit.evaluation.simulator.paths import Path
@@ -76,7 +76,7 @@ class _Verge:
         self._tree = cKDTree(self._way.points)
         self._yaw = self._way.heading(self._way.arc, 6.0)
         self._ground = Waves.random(self._rng)
-        self._solids, self._houses = Solids(), list[tuple[Floats, float]]()
+        self._solids, self._houses = OpenSolids(), list[tuple[Floats, float]]()
         self._clear = self._rng.uniform(4.3, 6.0)
         self._grown = _meets_itself(self._way, self._tree)
         arc, rng = self._way.arc, self._rng
