@@ -42,7 +42,7 @@ from revisit.service.features.recognition.reembedding import Reembedding
 from revisit.service.features.upkeep.calls import WORKER_SEEN_WITHIN_MS
 from revisit.service.features.upkeep.chores import Chore
 from revisit.service.features.upkeep.retention import forget_answers, forget_events
-from revisit.service.features.upkeep.sweeping import sweep
+from revisit.service.features.upkeep.sweeping import collect, sweep
 from revisit.service.features.webhooks.deliveries import Deliveries
 from revisit.service.large_blocks import SPARE_BYTES, return_large_blocks, share_one_heap
 from revisit.service.ports.recogniser import PlaceRecogniser
@@ -61,6 +61,7 @@ if TYPE_CHECKING:
 TEND_DISK_EVERY_S = 0.5
 FOLD_LOG_BACK_EVERY_S = 1.0
 SWEEP_EVERY_S = 6 * 3600.0
+COLLECT_EVERY_S = 60.0
 LOAD_INDEX_EVERY_S = 1.0
 AUDIT_INDEX_EVERY_S = 1.0
 TEND_INDEX_FILES_EVERY_S = 2.0
@@ -146,6 +147,9 @@ def chores(settings: Settings, context: ServiceContext, fail_stop: FailStop) -> 
     async def sweep_blobs() -> None:
         await sweep(context.storage)
 
+    async def collect_blobs() -> None:
+        await collect(context.storage)
+
     async def audit_index() -> None:
         await keeper.audit()
 
@@ -164,6 +168,7 @@ def chores(settings: Settings, context: ServiceContext, fail_stop: FailStop) -> 
         Chore("tend_disk", TEND_DISK_EVERY_S, tend_disk),
         Chore("fold_log_back", FOLD_LOG_BACK_EVERY_S, fold_log_back, at_end=True),
         Chore("sweep_blobs", SWEEP_EVERY_S, sweep_blobs),
+        Chore("collect_blobs", COLLECT_EVERY_S, collect_blobs),
         Chore("erase_deleted", ERASE_EVERY_S, context.erasure.all, close=context.erasure.close),
         Chore("load_index", LOAD_INDEX_EVERY_S, keeper.load),
         Chore("audit_index", AUDIT_INDEX_EVERY_S, audit_index),

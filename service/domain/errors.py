@@ -81,6 +81,18 @@ class WorkersBusy(Unavailable):
     code = ErrorCode.WORKERS_BUSY
 
 
+class BlobCollected(Unavailable):
+    """The same content is being deleted at this moment: nothing was stored. Try again."""
+
+    code = ErrorCode.WORKERS_BUSY
+
+    def __init__(self, gone: frozenset[int], *, pending: bool) -> None:
+        """`gone` numbers the collections that have deleted a blob; `pending`: another one has yet to."""
+        super().__init__()
+        self.gone = gone
+        self.pending = pending
+
+
 class StillDeleting(Unavailable):
     """The former resource of this id is being deleted: the id is free again soon. Try again with the same id."""
 

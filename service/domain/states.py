@@ -39,6 +39,14 @@ class LoopEventKind(StrEnum):
     JUDGED = "JUDGED"
 
 
+class BlobState(StrEnum):
+    """How far the collection of a blob has come that rows named: COLLECTED may be deleted at any moment, GONE was."""
+
+    UNREFERENCED = "UNREFERENCED"
+    COLLECTED = "COLLECTED"
+    GONE = "GONE"
+
+
 class EventKind(StrEnum):
     """The kind of an event."""
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -21,6 +21,10 @@ MAP_LAYOUT_BLOB = "map-layout"
 """The layout of a map file's bytes (see `mapping.map_layout`)."""
 
 
+Blob = tuple[str, str]
+"""(kind, sha256) of a blob of a tenant."""
+
+
 @dataclass(frozen=True)
 class StoredBlob:
     """The address of a blob."""
@@ -30,8 +34,72 @@ class StoredBlob:
     sha256: str
 
 
+@dataclass(frozen=True)
+class BlobCollection:
+    """Blobs to be deleted, by number; `begun_ms` is of the store's clock."""
+
+    begun_ms: int
+    blobs: dict[int, StoredBlob]
+
+
+MOST_MS = 60_000
+"""Longest time in which a collection deletes its blobs."""
+
+REMEMBERED_MS = 3_600_000
+"""Time for which an ended collection is remembered: longer than any writer takes from storing a blob to naming it."""
+
+
+class BlobReferences(Protocol):
+    """The blobs that rows name, in the transaction of those rows.
+
+    Whoever names a blob puts it first and then says so in the transaction of the row: `Storage.write_naming`.
+    """
+
+    def refer(self, tenant: TenantId, blobs: Collection[Blob]) -> None:
+        """Rows of this transaction name these blobs, which were put before it.
+
+        Raises BlobCollected where one of them may have been deleted since.
+        """
+        ...
+
+    def put_again(self, gone: Collection[int]) -> None:
+        """The blobs of these collections were put once more after they were gone: `refer` takes them."""
+        ...
+
+    def release(self, tenant: TenantId, blobs: Collection[Blob]) -> None:
+        """Rows of this transaction named these blobs and are gone, so other rows name them or none."""
+        ...
+
+    def strays(self, tenant: TenantId, blobs: Collection[Blob]) -> set[Blob]:
+        """Those of these blobs that no row names and no collection knows; none of a kind of another version."""
+        ...
+
+
+class BlobCollections(Protocol):
+    """The collection of blobs that no row names any more, in two transactions; the bytes go between them."""
+
+    def begin(self, unreferenced_ms: int, limit: int) -> BlobCollection:
+        """Collect at most `limit` blobs that no row has named for `unreferenced_ms`: from this commit on no row can.
+
+        Those of a collection that was begun long ago and not ended come again. Within `MOST_MS` of this call they may
+        be deleted, afterwards not any more.
+        """
+        ...
+
+    def end(self, collection: BlobCollection, numbers: Collection[int]) -> None:
+        """Of the blobs of a collection these are deleted."""
+        ...
+
+
+class BlobRows(BlobReferences, BlobCollections, Protocol):
+    """References to blobs and their collection."""
+
+
 class BlobStore(Protocol):
-    """Bytes by content, per tenant and kind. A blob survives a power cut once `put` has returned."""
+    """Bytes by content, per tenant and kind. A blob survives a power cut once `put` has returned.
+
+    No unit of work calls it: a transaction may be undone, or run again.
+    """
 
     def put(self, tenant: TenantId, kind: str, data: bytes) -> str:
         """Store durably; the SHA-256 (hex). Again: no effect. Raises StorageFull, StorageUncertain."""

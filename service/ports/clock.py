@@ -15,10 +15,17 @@ class Instant:
 
 
 class Clock(Protocol):
-    """Time. Wall time labels things; only the monotonic clock decides anything."""
+    """Time of this process. Wall time labels things, durations are measured by the monotonic clock.
+
+    Leases and ages of rows are told by the store's own clock, which no use case sees.
+    """
 
     def wall_ns(self) -> int:
         """Nanoseconds since 1970, UTC."""
+        ...
+
+    def monotonic_ms(self) -> int:
+        """Milliseconds of a clock that is never set."""
         ...
 
     def instant(self) -> Instant:

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeVar
 
 from revisit.service.domain.policy import Policy
 from revisit.service.ports.blobs import BlobStore
 from revisit.service.ports.clock import Clock
 from revisit.service.ports.job_queue import Lease
-from revisit.service.ports.transactions import Transactions
+from revisit.service.ports.storage import write_naming
+from revisit.service.ports.transactions import Transactions, UnitOfWork
+
+T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -20,6 +24,10 @@ class JobContext:
     blobs: BlobStore
     clock: Clock
     policy: Policy
+
+    def write_naming(self, work: Callable[[UnitOfWork], T], put: Callable[[], object]) -> T:
+        """See `storage.write_naming`."""
+        return write_naming(self.transactions, work, put)
 
     def complete(self, lease: Lease, result: dict[str, Any]) -> None:
         """End a job well, in a transaction of its own. Raises StaleLease where another worker holds it."""

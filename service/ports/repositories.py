@@ -77,10 +77,6 @@ class RowEraser(Protocol[R]):
         """
         ...
 
-    def named(self, tenant: TenantId, field: str, values: Collection[str]) -> set[str]:
-        """Those of these values that `field` has in a record that is seen."""
-        ...
-
     def delete_some(self, tenant: TenantId, limit: int, field: str, values: Sequence[str | int]) -> int:
         """Delete at most `limit` of the records, visible or not, with one of `values` in `field`; their number."""
         ...

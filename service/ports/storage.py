@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import asyncio
+import time
 from collections.abc import Callable
 from concurrent.futures import Future
 from contextvars import copy_context
 from dataclasses import dataclass
-from typing import TypeVar
+from typing import Generic, TypeVar
 
 from revisit.core.errors import DataLoss
 from revisit.service.domain.errors import (
     AlreadyExists,
+    BlobCollected,
     NotFound,
     NotReady,
     SessionFinished,
@@ -47,14 +49,54 @@ class Storage:
         """Store a blob durably, in a thread; its SHA-256. Raises StorageFull, StorageUncertain."""
         return await asyncio.to_thread(self.blobs.put, tenant, kind, data)
 
-    def keep_blob(self, tenant: TenantId, kind: str, data: bytes, sha256: str) -> None:
-        """Store a blob again where it is missing, inside the write transaction of the row that names it.
+    async def write_naming(self, work: Callable[[UnitOfWork], T], put: Callable[[], object]) -> T:
+        """See `write_naming`, on the event loop; `put` runs in a thread."""
+        naming = Naming(work)
+        for pause_s in PAUSES_S:
+            try:
+                return await self.write(naming)
+            except BlobCollected as collected:
+                naming = naming.after(collected)
+                await asyncio.sleep(pause_s if collected.pending else 0.0)
+            await asyncio.to_thread(put)
+        return await self.write(naming)
 
-        It was stored before that transaction began, and a delete may have collected the same content meanwhile (see
-        `catalogue.blob_references`).
-        """
-        if not self.blobs.exists(tenant, kind, sha256):
-            self.blobs.put(tenant, kind, data)
+
+@dataclass(frozen=True)
+class Naming(Generic[T]):
+    """Work whose rows name blobs (it calls `uow.blobs.refer`), and the collections after which they were put again."""
+
+    work: Callable[[UnitOfWork], T]
+    gone: frozenset[int] = frozenset()
+
+    def __call__(self, uow: UnitOfWork) -> T:
+        """Do it, in one transaction."""
+        uow.blobs.put_again(self.gone)
+        return self.work(uow)
+
+    def after(self, collected: BlobCollected) -> Naming[T]:
+        """The same work, once the blobs that it found gone were put again."""
+        return Naming(self.work, self.gone | collected.gone)
+
+
+PAUSES_S = (0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0)
+"""Waits for a collection to delete a blob that was found again meanwhile."""
+
+
+def write_naming(transactions: Transactions, work: Callable[[UnitOfWork], T], put: Callable[[], object]) -> T:
+    """Commit `work`, whose rows name blobs that were put before; `put` puts them again where they were deleted since.
+
+    Raises StorageFull, StorageUncertain, the errors of `work`, and BlobCollected where it goes on for too long.
+    """
+    naming = Naming(work)
+    for pause_s in PAUSES_S:
+        try:
+            return transactions.write(naming).result()
+        except BlobCollected as collected:
+            naming = naming.after(collected)
+            time.sleep(pause_s if collected.pending else 0.0)
+        put()
+    return transactions.write(naming).result()
 
 
 async def _outcome(future: Future[T]) -> T:

@@ -22,6 +22,7 @@ from revisit.service.domain.records import (
 )
 from revisit.service.domain.webhooks import DeliveryRecord, WebhookRecord
 from revisit.service.ports.access import AuditTrail, KeyRing
+from revisit.service.ports.blobs import BlobRows
 from revisit.service.ports.index import ChangeLog
 from revisit.service.ports.job_queue import JobQueue, WorkerLog
 from revisit.service.ports.repositories import (
@@ -124,6 +125,11 @@ class UnitOfWork(Protocol):
     @property
     def queue(self) -> JobQueue:
         """The job queue."""
+        ...
+
+    @property
+    def blobs(self) -> BlobRows:
+        """References to blobs and their collection."""
         ...
 
     @property

@@ -15,6 +15,7 @@ from revisit.service.domain.records import TurnRecord
 from revisit.service.engines.sql import (
     access,
     blob_addresses,
+    blob_rows,
     change_log,
     jobs,
     loops,
@@ -51,7 +52,6 @@ CALLS = {
     "SqlRepository.add_all": lambda uow: uow.maps.add_all([a_map("city")]),
     "SqlRepository.revise": lambda uow: uow.maps.revise(uow.maps.find(TENANT), display_name=""),
     "SqlRepository.some": lambda uow: uow.everything.scans.some(TENANT, 5, map_id="town"),
-    "SqlRepository.named": lambda uow: uow.scans.named(TENANT, "cloud_sha256", {"0" * 64}),
     "SqlRepository.delete_some": lambda uow: uow.loops.delete_some(TENANT, 5, "query_number", [1, 2]),
     "SqlRepository.delete": lambda uow: uow.loops.delete(TENANT, map_id="town"),
     "SqlScans.first_seq_from": lambda uow: uow.scans.first_seq_from(TENANT, "town", "monday", 0.5),
@@ -78,6 +78,12 @@ CALLS = {
     "SqlTenantTurns.of": lambda uow: SqlTenantTurns(uow.connection).of(TENANT),
     "SqlTenantTurns.latest_start_ms": lambda uow: SqlTenantTurns(uow.connection).latest_start_ms(),
     "SqlTenantTurns.keep": lambda uow: SqlTenantTurns(uow.connection).keep(TurnRecord(TENANT, 1, 2)),
+    "SqlBlobRows.release": lambda uow: uow.blobs.release(TENANT, {("cloud", "f" * 64)}),
+    "SqlBlobRows.strays": lambda uow: uow.blobs.strays(TENANT, {("cloud", "f" * 64)}),
+    "SqlBlobRows.begin": lambda uow: uow.blobs.end(uow.blobs.begin(0, 5), [1]),
+    "SqlBlobRows.end": lambda uow: None,
+    "SqlBlobRows.put_again": lambda uow: uow.blobs.put_again([1]),
+    "SqlBlobRows.refer": lambda uow: uow.blobs.refer(TENANT, {("cloud", "e" * 64)}),
     "SqlChangeLog.record_described": lambda uow: uow.changes.record_described(TENANT, 1, 1),
     "SqlChangeLog.record_removed": lambda uow: uow.changes.record_removed(TENANT, 1, [1, 2]),
     "SqlChangeLog.record_session_removed": lambda uow: uow.changes.record_session_removed(TENANT, 1, 1),
@@ -119,7 +125,7 @@ def for_postgresql(statement) -> str:
 
 
 def test_every_method_of_the_repositories_is_called():
-    modules = (access, change_log, jobs, loops, repositories, turns, worker_log)
+    modules = (access, blob_rows, change_log, jobs, loops, repositories, turns, worker_log)
     public = {
         f"{name}.{method}"
         for module in modules

@@ -23,6 +23,7 @@ from revisit.service.engines.local.sqlite.backup import BackupRefused, make_back
 from revisit.service.engines.local.sqlite.backup_key import KEY_FILE, own_key
 from revisit.service.engines.local.sqlite.examination import examine, scrub
 from revisit.service.features.catalogue.downloads import DownloadKind
+from revisit.service.features.upkeep.sweeping import UNREFERENCED_S, collect
 from revisit.service.ports.blobs import PLACE_BLOB
 from tests.support.patience import PATIENCE_S
 from tests.support.service_world import TENANT, answered, open_session, sqlite_world, submap
@@ -112,10 +113,13 @@ async def test_a_backup_under_ingest_has_everything_that_was_acknowledged_before
 async def test_what_is_deleted_during_a_backup_is_whole_in_it_and_is_swept_later(world, home, tmp_path, monkeypatch):
     real, loop = backup._copy_blobs, asyncio.get_running_loop()
 
+    async def delete(submap_id):
+        await world.use_cases.submaps.delete(TENANT, submap(submap_id, 0).key)
+        world.clock.ms += int(UNREFERENCED_S * 1000)
+        assert await collect(world.context.storage) == 3
+
     def delete_first(*arguments):
-        asyncio.run_coroutine_threadsafe(world.use_cases.submaps.delete(TENANT, submap("s0", 0).key), loop).result(
-            PATIENCE_S
-        )
+        asyncio.run_coroutine_threadsafe(delete("s0"), loop).result(PATIENCE_S)
         return real(*arguments)
 
     monkeypatch.setattr(backup, "_copy_blobs", delete_first)
@@ -125,7 +129,7 @@ async def test_what_is_deleted_during_a_backup_is_whole_in_it_and_is_swept_later
     restore_backup(tmp_path / "backup", tmp_path / "restored", own_key(home))
     assert names(tmp_path / "restored") == {"s0", "s1", "s2", "s3"}
     assert names(home) == {"s1", "s2", "s3"} and len(blobs(home)) == 12, "its blobs wait for the sweep"
-    await world.use_cases.submaps.delete(TENANT, submap("s1", 1).key)
+    await delete("s1")
     assert len(blobs(home)) == 9
 
 

@@ -1,4 +1,4 @@
-"""What is deleted is gone from the disk, byte for byte, once the log of the database is folded back."""
+"""What is deleted is gone from the disk after two hours, byte for byte, once the log of the database is folded back."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from revisit.service.features.deletion.blob_references import blobs_of_submap
+from revisit.service.features.upkeep.sweeping import UNREFERENCED_S, collect
 from tests.support.service_world import SESSION, TENANT, described, sqlite_world, submap
 
 
@@ -39,6 +40,9 @@ async def test_no_byte_of_what_was_deleted_is_left(tmp_path, what):
         await world.use_cases.sessions.delete(TENANT, SESSION)
     else:
         await world.use_cases.maps.delete(TENANT, SESSION.map_id)
+    for gone in (3, 0):  # the bytes first, an hour later their hashes
+        world.clock.ms += int(UNREFERENCED_S * 1000)
+        assert await collect(world.context.storage) == gone * (1 if what == "submap" else 2)
     world.context.transactions.close()
     assert [holds(tmp_path, trace) for trace in secret] == [False] * 5
     assert [holds(tmp_path, trace) for trace in kept] == [what == "submap"] * 5

@@ -14,7 +14,7 @@ from revisit.service.domain.errors import NoAnswer, RateLimited, StorageFull, Wo
 from revisit.service.domain.identity import SubmapKey
 from revisit.service.features.catalogue.downloads import DownloadKind
 from revisit.service.features.resources.paging import PageRequest
-from revisit.service.features.upkeep.sweeping import MIN_AGE_S, sweep
+from revisit.service.features.upkeep.sweeping import UNREFERENCED_S, collect, sweep
 from revisit.service.ports.blobs import MESH_BLOB
 from revisit.service.ports.disk import UnlimitedDisk
 from tests.support.patience import PATIENCE_S
@@ -131,7 +131,8 @@ async def test_a_mesh_of_a_damaged_neural_map_or_of_a_deleted_submap_is_refused(
     assert refused.value.code == ErrorCode.NOT_FOUND
     await world.use_cases.posting.post(TENANT, submap("a", 2))
     world.work_off()
-    kept(tmp_path, "neural-map")[0].write_bytes(b"damaged")
+    for path in kept(tmp_path, "neural-map"):
+        path.write_bytes(b"damaged")
     with pytest.raises(RevisitError) as refused:
         await answered(world, asked(world))
     assert refused.value.code == ErrorCode.DATA_LOSS
@@ -156,5 +157,7 @@ async def test_meshes_that_an_earlier_version_stored_are_swept(world, tmp_path):
     await described(world, a=1)
     world.context.blobs.put(TENANT, MESH_BLOB, b"RVM1 of an earlier version")
     for path in kept(tmp_path):
-        os.utime(path, (time.time() - 2 * MIN_AGE_S,) * 2)
-    assert await sweep(world.context.storage) == 1 and kept(tmp_path) == []
+        os.utime(path, (time.time() - 2 * UNREFERENCED_S,) * 2)
+    assert await sweep(world.context.storage) == 1
+    world.clock.ms += int(UNREFERENCED_S * 1000)
+    assert await collect(world.context.storage) == 1 and kept(tmp_path) == []

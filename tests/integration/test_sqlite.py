@@ -17,6 +17,7 @@ from revisit.service.domain.errors import NotFound, StorageFull, StorageUncertai
 from revisit.service.engines.local.files.disk import FailStop
 from revisit.service.engines.local.sqlite.connections import reader_engine, writer_engine
 from revisit.service.engines.local.sqlite.migration import current_revision, migrate
+from revisit.service.engines.local.sqlite.store_clock import boots
 from revisit.service.engines.local.sqlite.transactions import SqliteTransactions
 from revisit.service.engines.sql import tables
 from tests.contract.test_transactions import fill
@@ -63,7 +64,7 @@ def test_the_migration_makes_the_schema_of_the_tables(database):
         # What the engine keeps for itself is in no table of the SQL that knows no engine.
         options = {"compare_type": True, "include_object": lambda _, name, *__: name != "checksum"}
         context = MigrationContext.configure(connection, opts=options)
-        assert compare_metadata(context, tables.metadata) == []
+        assert compare_metadata(context, [tables.metadata, boots.metadata]) == []
     engine.dispose()
 
 

@@ -25,12 +25,13 @@ from revisit.service.domain.states import LoopState, OperationState, SessionStat
 from revisit.service.features.catalogue.downloads import DownloadKind
 from revisit.service.features.catalogue.maps import CreateMap
 from revisit.service.features.catalogue.sessions import CreateSession
-from revisit.service.features.deletion import blob_references
 from revisit.service.features.index.answers import SearchCriteria
 from revisit.service.features.ingest.calls import ScanStream
 from revisit.service.features.resources.paging import PageRequest
 from revisit.service.features.search.calls import LocalizeQuery
+from revisit.service.features.upkeep import sweeping
 from revisit.service.features.upkeep.retention import forget_answers
+from revisit.service.features.upkeep.sweeping import UNREFERENCED_S, collect
 from revisit.service.ports.blobs import CLOUD_BLOB, QUERY_CLOUD_BLOB
 from tests.support.fake_recogniser import CANNOT_BE_DESCRIBED, RAISES, FakeRecogniser
 from tests.support.patience import PATIENCE_S
@@ -506,11 +507,13 @@ async def test_deleting_a_submap_takes_its_loops_and_blobs_but_not_those_of_its_
     with pytest.raises(NotFound):
         await world.use_cases.submaps.get(TENANT, key("a"))
     assert not (await world.use_cases.loops.list(TENANT, "town", PageRequest(), state=LoopState.ACCEPTED)).items
-    twin = await world.use_cases.submaps.download(TENANT, key("twin"), DownloadKind.POINTS)
-    assert twin.data
     sha256 = world.context.transactions.read(lambda uow: uow.submaps.get(TENANT, "town", "monday", "b")).result()
     await world.use_cases.submaps.delete(TENANT, key("b"))
+    world.clock.ms += int(UNREFERENCED_S * 1000)
+    await collect(world.context.storage)
     assert not world.context.blobs.exists(TENANT, CLOUD_BLOB, sha256.cloud_sha256)
+    twin = await world.use_cases.submaps.download(TENANT, key("twin"), DownloadKind.POINTS)
+    assert twin.data
 
 
 async def test_deleting_a_map_leaves_nothing_and_its_name_can_be_used_again(world):
@@ -530,15 +533,17 @@ async def test_the_blobs_of_a_large_map_are_deleted_in_turns_that_let_others_wri
     await open_session(world)
     for place in range(5):
         await world.use_cases.posting.post(TENANT, submap(f"s{place}", place))
-    monkeypatch.setattr(blob_references, "BLOBS_PER_TURN", 2)
-    turns, collect = [], blob_references.collect_blobs
+    monkeypatch.setattr(sweeping, "BLOBS_PER_TURN", 2)
+    turns, delete = [], sweeping._deleted
 
-    def noted(uow, blobs, tenant, doomed):
-        turns.append(len(doomed))
-        collect(uow, blobs, tenant, doomed)
+    def noted(blobs, begun, until_s):
+        turns.append(len(begun.blobs))
+        return delete(blobs, begun, until_s)
 
-    monkeypatch.setattr(blob_references, "collect_blobs", noted)
+    monkeypatch.setattr(sweeping, "_deleted", noted)
     await world.use_cases.maps.delete(TENANT, "town")
+    world.clock.ms += int(UNREFERENCED_S * 1000)
+    assert await collect(world.context.storage) == 5
     assert turns == [2, 2, 1]
     assert not [path for path in (tmp_path / "blobs").rglob("*") if path.is_file()]
     world.context.transactions.close()

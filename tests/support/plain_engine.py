@@ -20,8 +20,9 @@ HIGHEST = text("SELECT number FROM highest WHERE table_name = :name")
 class PlainEngine:
     """`sql.engine.DatabaseEngine` by triggers and error codes; `ordered` tells what was asked for in commit order."""
 
-    def __init__(self) -> None:
+    def __init__(self, clock: Clock) -> None:
         self.ordered: list[str] = []
+        self._clock = clock
 
     def last_number(self, connection, table) -> int:
         """See `DatabaseEngine`."""
@@ -30,6 +31,10 @@ class PlainEngine:
     def number_in_commit_order(self, connection, table) -> None:
         """See `DatabaseEngine`."""
         self.ordered.append(table.name)
+
+    def now_ms(self, connection) -> int:
+        """See `DatabaseEngine`."""
+        return self._clock.monotonic_ms()
 
     def is_duplicate(self, error) -> bool:
         """See `DatabaseEngine`."""
@@ -40,7 +45,7 @@ class PlainTransactions:
     """`Transactions`: each runs at once, in the thread that asks, alone."""
 
     def __init__(self, lease_ms: int, clock: Clock = SystemClock()) -> None:
-        self.database, self.engine = plain_database(), PlainEngine()
+        self.database, self.engine = plain_database(), PlainEngine(clock)
         self._lease_ms, self._clock = lease_ms, clock
         self._lock = threading.Lock()
 

@@ -9,7 +9,7 @@ from revisit.service.ports.clock import Instant
 
 @dataclass
 class SteppedClock:
-    """`Clock`; the time of day follows `ms` unless `day_ns` says it."""
+    """`MachineClock`; the time of day follows `ms` unless `day_ns` says it."""
 
     epoch: str = "boot-1"
     ms: int = 1_000_000
@@ -18,6 +18,15 @@ class SteppedClock:
     def wall_ns(self) -> int:
         """See `Clock`."""
         return 1_700_000_000_000_000_000 + self.ms * 1_000_000 if self.day_ns is None else self.day_ns
+
+    @property
+    def boot_id(self) -> str:
+        """See `MachineClock`."""
+        return self.epoch
+
+    def monotonic_ms(self) -> int:
+        """See `Clock`."""
+        return self.ms
 
     def instant(self) -> Instant:
         """See `Clock`."""

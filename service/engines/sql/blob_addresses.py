@@ -10,8 +10,10 @@ from revisit.service.engines.sql.tables import map_files, map_tiles, scans, subm
 from revisit.service.ports.blobs import (
     CLOUD_BLOB,
     MAP_LAYOUT_BLOB,
+    MESH_BLOB,
     NEURAL_MAP_BLOB,
     PLACE_BLOB,
+    QUERY_CLOUD_BLOB,
     TILE_BLOB,
 )
 
@@ -24,6 +26,9 @@ REFERENCES: tuple[tuple[str, Column[Any]], ...] = (
     (MAP_LAYOUT_BLOB, map_files.c.layout_sha256),
 )
 """(kind of blob, column with its hash)."""
+
+NAMED_BY_NO_ROW = (QUERY_CLOUD_BLOB, MESH_BLOB)
+"""Kinds of blobs on their way between two processes: the one that asked deletes them."""
 
 
 def blob_addresses() -> CompoundSelect[Any]:

@@ -29,6 +29,10 @@ class DatabaseEngine(Protocol):
         """
         ...
 
+    def now_ms(self, connection: Connection) -> int:
+        """Milliseconds of the store's own clock, the same for all who use the store; no host's clock moves it."""
+        ...
+
     def is_duplicate(self, error: IntegrityError) -> bool:
         """Whether a row was refused because its unique key is taken, and not because its parent is missing."""
         ...

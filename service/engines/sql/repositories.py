@@ -8,7 +8,7 @@ from __future__ import annotations
 import dataclasses
 import json
 from collections import Counter
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import cache
 from operator import itemgetter
 from typing import Any, Generic, TypeVar
@@ -182,11 +182,6 @@ class SqlRepository(Generic[R]):
         asked = of_tenant(tenant, equals)
         query = self._rows_where(asked).limit(bindparam("at_most"))
         return [self._of(row) for row in self._connection.execute(query, {**asked, "at_most": limit})]
-
-    def named(self, tenant: TenantId, field: str, values: Collection[str]) -> set[str]:
-        """See `Repository`."""
-        asked = {"its_tenant": tenant, "its_values": list(values)}
-        return set(self._connection.execute(_values_named(self._table, self._sees_all, field), asked).scalars())
 
     def delete_some(self, tenant: TenantId, limit: int, field: str, values: Sequence[Scalar]) -> int:
         """See `Repository`."""
@@ -432,14 +427,6 @@ def _in_order_of_fields(table: Table, record: type) -> Callable[[Row[Any]], tupl
 @cache
 def _count_where(table: Table, sees_all: bool, given: tuple[str, ...], absent: tuple[str, ...]) -> Select[int]:
     return select(func.count()).select_from(table).where(_has(table, given, absent), seen(table, sees_all))
-
-
-@cache
-def _values_named(table: Table, sees_all: bool, field: str) -> Select[Any]:
-    """Those of `its_values` that the `field` of a row of tenant `its_tenant` has."""
-    values: BindParameter[Any] = bindparam("its_values", expanding=True)
-    its = and_(table.c.tenant == bindparam("its_tenant"), table.c[field].in_(values))
-    return select(table.c[field]).where(its, seen(table, sees_all)).distinct()
 
 
 @cache

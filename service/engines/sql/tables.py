@@ -398,6 +398,19 @@ jobs = _numbered(
     Index(None, "finished_at_ns", info={"where": ANSWERED_QUERIES}),
 )
 
+unreferenced_blobs = Table(
+    "unreferenced_blobs",
+    metadata,
+    Column("number", Integer, primary_key=True, autoincrement=True),
+    Column("tenant", String(64), nullable=False),
+    _text("kind", length=32),
+    _text("sha256"),
+    _text("state", length=16),
+    _integer("since_ms"),
+    Index(None, "tenant", "sha256"),
+    Index(None, "state", "since_ms"),
+)
+
 index_changes = Table(
     "index_changes",
     metadata,

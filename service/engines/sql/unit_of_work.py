@@ -38,6 +38,7 @@ from revisit.service.engines.fair_turns import FairTurns
 from revisit.service.engines.leased_jobs import LeasedJobs
 from revisit.service.engines.sql import tables
 from revisit.service.engines.sql.access import SqlAuditTrail, SqlKeyRing
+from revisit.service.engines.sql.blob_rows import SqlBlobRows
 from revisit.service.engines.sql.change_log import SqlChangeLog
 from revisit.service.engines.sql.engine import DatabaseEngine
 from revisit.service.engines.sql.event_log import SqlEventLog
@@ -138,6 +139,11 @@ class SqlUnitOfWork:
     def queue(self) -> LeasedJobs:
         """The job queue in this transaction."""
         return LeasedJobs(self.jobs, FairTurns(SqlTenantTurns(self.connection)), self.lease_ms, self.clock)
+
+    @cached_property
+    def blobs(self) -> SqlBlobRows:
+        """References to blobs and their collection."""
+        return SqlBlobRows(self.connection, self.engine)
 
     @cached_property
     def changes(self) -> SqlChangeLog:

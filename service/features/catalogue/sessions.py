@@ -21,7 +21,6 @@ from revisit.service.features.audit import calls as audit
 from revisit.service.features.audit.calls import AuditEntry
 from revisit.service.features.catalogue.no_loops import NoLoops, why_no_loops
 from revisit.service.features.catalogue.odometry_findings import SessionFinding, odometry_findings
-from revisit.service.features.deletion.blob_references import Blob, BlobCollector
 from revisit.service.features.deletion.erasure import Erasure
 from revisit.service.features.deletion.rows import mark_session
 from revisit.service.features.ingest.rules import add_window_submap, remainder
@@ -85,7 +84,6 @@ class Sessions:
     def __init__(self, context: CallContext, erasure: Erasure) -> None:
         """A deleted session goes through `erasure`, and its `streams` end."""
         self._context = context
-        self._collector = BlobCollector(context.storage)
         self._erasure = erasure
 
     async def create(self, tenant: TenantId, command: CreateSession) -> CreatedSession:
@@ -135,11 +133,9 @@ class Sessions:
         """
         self._context.admission.require_running()
         entry = audit.noted(tenant, "session_deleted", key.name)
-        doomed = await self._context.storage.write(
-            partial(_delete, key=key, entry=entry, at_ns=self._context.clock.wall_ns())
-        )
+        delete = partial(_delete, key=key, entry=entry, at_ns=self._context.clock.wall_ns())
+        await self._context.storage.write(delete)
         failpoint("delete.after_mark")
-        await self._collector.collect(tenant, doomed)
         await self._erasure.soon(tenant, key.map_id, key.session_id)
 
     def _whole(self, uow: UnitOfWork, record: SessionRecord) -> SessionView:
@@ -189,11 +185,11 @@ def _of_map(uow: UnitOfWork, after: int, limit: int, *, tenant: TenantId, map_id
     return uow.sessions.find(tenant, after=after, limit=limit, map_id=map_id)
 
 
-def _delete(uow: UnitOfWork, key: SessionKey, entry: AuditEntry, at_ns: int) -> set[Blob]:
+def _delete(uow: UnitOfWork, key: SessionKey, entry: AuditEntry, at_ns: int) -> None:
     tenant = TenantId(entry.tenant)
     session = require_session(uow, tenant, key)
     audit.append(uow, at_ns, entry)
-    return mark_session(uow, require_map(uow, tenant, key.map_id), session, at_ns)
+    mark_session(uow, require_map(uow, tenant, key.map_id), session, at_ns)
 
 
 def _view(uow: UnitOfWork, record: SessionRecord) -> SessionView:

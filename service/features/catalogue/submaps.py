@@ -26,7 +26,6 @@ from revisit.service.features.catalogue.downloads import (
     require_neural_map,
     stored_file,
 )
-from revisit.service.features.deletion.blob_references import Blob, BlobCollector
 from revisit.service.features.deletion.rows import delete_submap
 from revisit.service.features.graph.map_frames import MapFrames, submap_in_map
 from revisit.service.features.ingest.rows import SubmapSource, submap_source
@@ -56,7 +55,6 @@ class Submaps:
     def __init__(self, context: CallContext, rendering: Rendering, meshes: Meshes) -> None:
         """`rendering` and `meshes` make files."""
         self._context = context
-        self._collector = BlobCollector(context.storage)
         self._rendering = rendering
         self._meshes = meshes
 
@@ -76,11 +74,9 @@ class Submaps:
         """Delete a submap, its loop closures and its entry in the index. Raises NotFound, Draining."""
         self._context.admission.require_running()
         entry = audit.noted(tenant, "submap_deleted", key.name)
-        doomed = await self._context.storage.write(
-            partial(_delete, key=key, entry=entry, at_ns=self._context.clock.wall_ns())
-        )
+        delete = partial(_delete, key=key, entry=entry, at_ns=self._context.clock.wall_ns())
+        await self._context.storage.write(delete)
         failpoint("delete.after_rows")
-        await self._collector.collect(tenant, doomed)
 
     async def download(
         self,
@@ -128,8 +124,8 @@ def _of_session(uow: UnitOfWork, after: int, limit: int, *, tenant: TenantId, se
     return [SubmapView.of(record, frames.submap(record)) for record in records]
 
 
-def _delete(uow: UnitOfWork, key: SubmapKey, entry: AuditEntry, at_ns: int) -> set[Blob]:
+def _delete(uow: UnitOfWork, key: SubmapKey, entry: AuditEntry, at_ns: int) -> None:
     tenant = TenantId(entry.tenant)
     record = require_submap(uow, tenant, key)
     audit.append(uow, at_ns, entry)
-    return delete_submap(uow, require_map(uow, tenant, key.map_id), record, at_ns)
+    delete_submap(uow, require_map(uow, tenant, key.map_id), record, at_ns)

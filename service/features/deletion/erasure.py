@@ -20,8 +20,6 @@ from revisit.service.domain.identity import TenantId
 from revisit.service.domain.records import DeletionRecord
 from revisit.service.failpoints import failpoint
 from revisit.service.features.deletion.blob_references import (
-    Blob,
-    BlobCollector,
     blob_of_file,
     blob_of_scan,
     blob_of_tile,
@@ -51,19 +49,18 @@ R = TypeVar("R", bound=Numbered)
 
 log = structlog.get_logger(__name__)
 
-Step = Callable[[UnitOfWork, DeletionRecord, int], "set[Blob] | None"]
-"""Deletes a portion, in a unit of work that sees everything; the blobs that its rows named, None where there is nothing
-left of this kind.
+Step = Callable[[UnitOfWork, DeletionRecord, int], bool]
+"""Deletes a portion, in a unit of work that sees everything, and releases the blobs that its rows named; whether there
+was something of this kind.
 """
 
 
 class Erasure:
-    """Deletes the rows and blobs of all marked resources, one portion after another."""
+    """Deletes the rows of all marked resources, one portion after another."""
 
     def __init__(self, storage: Storage, clock: Clock) -> None:
-        """Rows and blobs are those of `storage`."""
+        """Jobs of deleted submaps end at the time of `clock`."""
         self._storage = storage
-        self._collector = BlobCollector(storage)
         self._clock = clock
         self._turn = asyncio.Lock()
         self._under_way: dict[int, asyncio.Task[None]] = {}
@@ -113,17 +110,16 @@ class Erasure:
         log.info("erased", tenant=deletion.tenant, **named, portions=portions, took_s=took_s)
 
     async def _portion(self, step: Step, deletion: DeletionRecord) -> bool:
-        """Delete the next rows and their blobs; whether there were any."""
+        """Delete the next rows; whether there were any."""
         async with self._turn:
             began_s = time.perf_counter()
             now_ns = self._clock.wall_ns()
-            doomed = await self._storage.write(lambda uow: step(uow.everything, deletion, now_ns))
+            found = await self._storage.write(lambda uow: step(uow.everything, deletion, now_ns))
             took_s = time.perf_counter() - began_s
             failpoint("delete.after_rows")
-            if doomed is not None:
-                await self._collector.collect(deletion.tenant, doomed)
+            if found:
                 await asyncio.sleep(took_s)
-        return doomed is not None
+        return found
 
 
 def _marked(uow: UnitOfWork, tenant: TenantId, map_id: str, ids: Sequence[str]) -> list[DeletionRecord]:
@@ -131,67 +127,71 @@ def _marked(uow: UnitOfWork, tenant: TenantId, map_id: str, ids: Sequence[str]) 
     return [deletion for deletion in found if deletion is not None]
 
 
-def _submaps(uow: UnitOfWork, deletion: DeletionRecord, now_ns: int) -> set[Blob] | None:
+def _submaps(uow: UnitOfWork, deletion: DeletionRecord, now_ns: int) -> bool:
     """Submaps with their loop closures, which go first; their jobs end."""
     tenant = deletion.tenant
     submaps = uow.submaps.some(tenant, SUBMAPS, **_of(deletion))
     if not submaps:
-        return None
+        return False
     numbers = [submap.number for submap in submaps]
     for rows in (uow.loops, uow.loop_events):
         for end in ("query_number", "match_number"):
             if rows.delete_some(tenant, ROWS, end, numbers) == ROWS:
-                return set()
+                return True
     drop_jobs(uow, submaps, now_ns)
     uow.submaps.delete_some(tenant, SUBMAPS, "number", numbers)
-    return {blob for submap in submaps for blob in blobs_of_submap(submap)}
+    uow.blobs.release(tenant, {blob for submap in submaps for blob in blobs_of_submap(submap)})
+    return True
 
 
-def _scans(uow: UnitOfWork, deletion: DeletionRecord, _: int) -> set[Blob] | None:
+def _scans(uow: UnitOfWork, deletion: DeletionRecord, _: int) -> bool:
     scans = _without(uow.scans, deletion, ROWS)
-    return None if not scans else {blob_of_scan(scan) for scan in scans}
+    uow.blobs.release(deletion.tenant, {blob_of_scan(scan) for scan in scans})
+    return bool(scans)
 
 
-def _poses(uow: UnitOfWork, deletion: DeletionRecord, _: int) -> set[Blob] | None:
+def _poses(uow: UnitOfWork, deletion: DeletionRecord, _: int) -> bool:
     gone = _without(uow.session_poses, deletion, VERSIONS)
     if deletion.session_id:
         submaps: Counter[int] = Counter()
         for row in gone:
             submaps[row.version] += len(PackedSubmaps.of(row.submaps).numbers)
         forget_in_summaries(uow, TenantId(deletion.tenant), deletion.map_id, submaps)
-    return set() if gone else None
+    return bool(gone)
 
 
-def _tiles(uow: UnitOfWork, deletion: DeletionRecord, _: int) -> set[Blob] | None:
+def _tiles(uow: UnitOfWork, deletion: DeletionRecord, _: int) -> bool:
     tiles = [] if deletion.session_id else _without(uow.map_tiles, deletion, ROWS)
-    return None if not tiles else {blob_of_tile(tile) for tile in tiles}
+    uow.blobs.release(deletion.tenant, {blob_of_tile(tile) for tile in tiles})
+    return bool(tiles)
 
 
-def _files(uow: UnitOfWork, deletion: DeletionRecord, _: int) -> set[Blob] | None:
+def _files(uow: UnitOfWork, deletion: DeletionRecord, _: int) -> bool:
     files = [] if deletion.session_id else _without(uow.map_files, deletion, ROWS)
-    return None if not files else {blob_of_file(file) for file in files}
+    uow.blobs.release(deletion.tenant, {blob_of_file(file) for file in files})
+    return bool(files)
 
 
-def _versions(uow: UnitOfWork, deletion: DeletionRecord, _: int) -> set[Blob] | None:
+def _versions(uow: UnitOfWork, deletion: DeletionRecord, _: int) -> bool:
     gone = [] if deletion.session_id else _without(uow.map_versions, deletion, VERSIONS)
-    return set() if gone else None
+    return bool(gone)
 
 
-def _sessions(uow: UnitOfWork, deletion: DeletionRecord, _: int) -> set[Blob] | None:
+def _sessions(uow: UnitOfWork, deletion: DeletionRecord, _: int) -> bool:
     """Sessions themselves, empty by now; with those of a map the corrections ahead of its versions."""
     uow.early_corrections.delete(deletion.tenant, **_of(deletion))
-    return set() if _without(uow.sessions, deletion, ROWS) else None
+    return bool(_without(uow.sessions, deletion, ROWS))
 
 
-def _mark(uow: UnitOfWork, deletion: DeletionRecord, _: int) -> set[Blob] | None:
+def _mark(uow: UnitOfWork, deletion: DeletionRecord, _: int) -> bool:
     """The map itself, if it goes, and the mark: from now on the id is free again."""
     tenant, of_map = deletion.tenant, {"map_id": deletion.map_id}
     if deletion.session_id:
         uow.deletions.delete(tenant, number=deletion.number)
-        return None
+        return False
     for rows in (uow.map_merges, uow.maps, uow.deletions):
         rows.delete(tenant, **of_map)
-    return None
+    return False
 
 
 _STEPS: tuple[Step, ...] = (_submaps, _scans, _poses, _tiles, _files, _versions, _sessions, _mark)

@@ -1,7 +1,7 @@
 """Deleting: a submap in one transaction; a session or a map is marked in one row, and nobody sees it any more.
 
-The rows of marked resources go in portions (see `erasure`), then the blobs that no row names any more. A crash in
-between leaves blobs, which the next sweep deletes, and hidden rows, which the next start goes on to delete.
+The rows of marked resources go in portions (see `erasure`) and release their blobs with them. A crash in between leaves
+hidden rows, which the next start goes on to delete.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from dataclasses import replace
 
 from revisit.service.domain.records import DeletionRecord, MapRecord, SessionRecord, SubmapRecord
 from revisit.service.domain.states import OperationState, SubmapState
-from revisit.service.features.deletion.blob_references import Blob, blobs_of_submap, forget_made
+from revisit.service.features.deletion.blob_references import blobs_of_submap, forget_made
 from revisit.service.features.graph.edits import note_edit
 from revisit.service.features.graph.session_poses import forget_submap
 from revisit.service.ports.transactions import UnitOfWork
@@ -20,9 +20,9 @@ SUBMAP_DELETED = {"outcome": "the submap was deleted"}
 """The result of a job for a deleted submap."""
 
 
-def delete_submap(uow: UnitOfWork, record: MapRecord, submap: SubmapRecord, at_ns: int) -> set[Blob]:
-    """Delete a submap of a map with its loop closures; its blobs, which other rows may name too."""
-    made = forget_made(uow, submap.tenant, submap.map_id, submap.session_id)
+def delete_submap(uow: UnitOfWork, record: MapRecord, submap: SubmapRecord, at_ns: int) -> None:
+    """Delete a submap of a map with its loop closures."""
+    forget_made(uow, submap.tenant, submap.map_id, submap.session_id)
     for rows in (uow.loops, uow.loop_events):
         rows.delete(submap.tenant, query_number=submap.number)
         rows.delete(submap.tenant, match_number=submap.number)
@@ -32,20 +32,16 @@ def delete_submap(uow: UnitOfWork, record: MapRecord, submap: SubmapRecord, at_n
         uow.changes.record_removed(submap.tenant, record.number, [submap.number])
     drop_jobs(uow, [submap], at_ns)
     uow.submaps.delete(submap.tenant, number=submap.number)
-    return blobs_of_submap(submap) | made
+    uow.blobs.release(submap.tenant, blobs_of_submap(submap))
 
 
-def mark_session(uow: UnitOfWork, record: MapRecord, session: SessionRecord, at_ns: int) -> set[Blob]:
-    """Nobody sees a session of a map any more, with its scans, its submaps and their loop closures.
-
-    The blobs derived from it.
-    """
+def mark_session(uow: UnitOfWork, record: MapRecord, session: SessionRecord, at_ns: int) -> None:
+    """Nobody sees a session of a map any more, with its scans, its submaps and their loop closures."""
     tenant, map_id, session_id = session.tenant, session.map_id, session.session_id
-    made = forget_made(uow, tenant, map_id, session_id)
+    forget_made(uow, tenant, map_id, session_id)
     uow.changes.record_session_removed(tenant, record.number, session.number)
     note_edit(uow, tenant, map_id)
     uow.deletions.add(DeletionRecord(tenant, map_id, session_id, at_ns))
-    return made
 
 
 def mark_map(uow: UnitOfWork, record: MapRecord, at_ns: int) -> None:

@@ -223,10 +223,11 @@ class Scans:
         return await self._decoder.run(stored.tenant, _same_points, packed, accepted.packed)
 
     async def _store(self, tenant: TenantId, command: AppendScan, accepted: _Accepted) -> ScanAck:
-        await self._context.storage.put_blob(tenant, CLOUD_BLOB, accepted.packed)
+        put = partial(self._context.storage.blobs.put, tenant, CLOUD_BLOB, accepted.packed)
+        await asyncio.to_thread(put)
         failpoint("ingest.after_blob")
         insert = partial(self._insert, tenant=tenant, command=command, accepted=accepted)
-        ack = await self._context.storage.write(insert)
+        ack = await self._context.storage.write_naming(insert, put)
         self._context.admission.note_stored(tenant, len(accepted.scan.points))
         failpoint("ingest.after_commit")
         return ack
@@ -242,7 +243,7 @@ class Scans:
         session = session if command.stream is None else command.stream.entered(session)
         last = uow.scans.get(session.tenant, session.map_id, session.session_id, session.committed_seq)
         step_m = _step_m(last, accepted.scan)
-        self._context.storage.keep_blob(tenant, CLOUD_BLOB, accepted.packed, accepted.sha256)
+        uow.blobs.refer(tenant, [(CLOUD_BLOB, accepted.sha256)])
         uow.scans.add(_row(session, accepted, session.travelled_m + step_m))
         submap = self._advance(uow, session, accepted.seq, step_m)
         return ScanAck(accepted.seq, replay=False, report=accepted.scan.report, submap=submap)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import hashlib
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -102,9 +103,10 @@ class SubmapPosting:
         # The cloud may have waited for its turn to be decoded.
         self._context.admission.require_storage()
         await self._context.admission.require_room(tenant)
-        await self._context.storage.put_blob(tenant, CLOUD_BLOB, accepted.packed)
+        put = partial(self._context.storage.blobs.put, tenant, CLOUD_BLOB, accepted.packed)
+        await asyncio.to_thread(put)
         failpoint("ingest.after_blob")
-        posted = await self._context.storage.write(partial(self._insert, accepted=accepted))
+        posted = await self._context.storage.write_naming(partial(self._insert, accepted=accepted), put)
         self._context.admission.note_stored(tenant, accepted.row.point_count)
         failpoint("ingest.after_commit")
         return posted
@@ -114,7 +116,7 @@ class SubmapPosting:
         replay = _replayed(uow, row)
         if replay is not None:
             return replay
-        self._context.storage.keep_blob(row.tenant, CLOUD_BLOB, accepted.packed, str(row.cloud_sha256))
+        uow.blobs.refer(row.tenant, [(CLOUD_BLOB, str(row.cloud_sha256))])
         session = require_session(uow, row.tenant, SessionKey(row.map_id, row.session_id))
         added, _ = add_submap(uow, self._context.jobs, session, row)
         return posted_submap(uow, added, replay=False, report=accepted.report)

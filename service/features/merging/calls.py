@@ -19,7 +19,6 @@ from revisit.service.domain.states import OperationKind
 from revisit.service.failpoints import failpoint
 from revisit.service.features.audit import calls as audit
 from revisit.service.features.audit.calls import AuditEntry
-from revisit.service.features.deletion.blob_references import Blob, BlobCollector
 from revisit.service.features.deletion.erasure import Erasure
 from revisit.service.features.deletion.rows import mark_session
 from revisit.service.features.graph.posting import drop_waiting
@@ -77,7 +76,6 @@ class MapMerges:
     def __init__(self, context: CallContext, erasure: Erasure) -> None:
         """The copies of a merge that is undone go through `erasure`."""
         self._context = context
-        self._collector = BlobCollector(context.storage)
         self._erasure = erasure
 
     async def merge(self, tenant: TenantId, command: MergeMap) -> PostedOperation:
@@ -108,8 +106,7 @@ class MapMerges:
         self._context.admission.require_running()
         entry = audit.noted(tenant, "merge_reverted", f"maps/{map_id}/merges/{merge_id}")
         work = partial(self._revert, map_id=map_id, merge_id=merge_id, entry=entry)
-        reverted, doomed = await self._context.storage.write(work)
-        await self._collector.collect(tenant, doomed)
+        reverted = await self._context.storage.write(work)
         await self._erasure.soon(tenant, map_id, *reverted.sessions)
         return reverted
 
@@ -125,34 +122,32 @@ class MapMerges:
         posted = self._context.jobs.post(uow, tenant, OperationKind.MERGE_MAP, subject, payload)
         return PostedOperation(posted, replay=False)
 
-    def _revert(
-        self, uow: UnitOfWork, map_id: str, merge_id: str, entry: AuditEntry
-    ) -> tuple[MapMergeRecord, set[Blob]]:
+    def _revert(self, uow: UnitOfWork, map_id: str, merge_id: str, entry: AuditEntry) -> MapMergeRecord:
         tenant, now_ns = TenantId(entry.tenant), self._context.clock.wall_ns()
         merge = _require_merge(uow, tenant, map_id, merge_id)
         if merge.reverted_at_ns is not None:
-            return merge, set()
+            return merge
         later = uow.map_merges.find(tenant, after=merge.number, map_id=map_id, reverted_at_ns=None)
         if later:
             raise NotReady(f"merge {later[-1].merge_id} came later: take that back first")
         audit.append(uow, now_ns, entry)
         drop_waiting(uow, tenant, map_id, MAP_REVERTED, now_ns)
-        doomed = self._without_copies(uow, merge, now_ns)
+        _delete_copies(uow, merge, now_ns)
         failpoint("unmerge.after_rows")
         restore_version(uow, require_map(uow, tenant, map_id), merge.version_before, now_ns)
         reverted = replace(merge, reverted_at_ns=now_ns)
         uow.map_merges.replace(reverted)
         failpoint("unmerge.after_version")
-        return reverted, doomed
+        return reverted
 
-    def _without_copies(self, uow: UnitOfWork, merge: MapMergeRecord, now_ns: int) -> set[Blob]:
-        """Delete the copies that are still there; blobs that other rows may name too."""
-        record, doomed = require_map(uow, merge.tenant, merge.map_id), set[Blob]()
-        for session_id in merge.sessions:
-            session = uow.sessions.get(merge.tenant, merge.map_id, session_id)
-            if session is not None:
-                doomed |= mark_session(uow, record, session, now_ns)
-        return doomed
+
+def _delete_copies(uow: UnitOfWork, merge: MapMergeRecord, now_ns: int) -> None:
+    """Delete the copies that are still there."""
+    record = require_map(uow, merge.tenant, merge.map_id)
+    for session_id in merge.sessions:
+        session = uow.sessions.get(merge.tenant, merge.map_id, session_id)
+        if session is not None:
+            mark_session(uow, record, session, now_ns)
 
 
 def _require_merge(uow: UnitOfWork, tenant: TenantId, map_id: str, merge_id: str) -> MapMergeRecord:

@@ -17,7 +17,7 @@ from revisit.service.domain.records import MapFileRecord
 from revisit.service.domain.states import MapFileState, OperationKind
 from revisit.service.features.audit import calls as audit
 from revisit.service.features.audit.calls import AuditEntry
-from revisit.service.features.deletion.blob_references import Blob, BlobCollector
+from revisit.service.features.deletion.blob_references import forget_file
 from revisit.service.features.optimisation.calls import version_seen
 from revisit.service.features.publishing.layout import MapLayout
 from revisit.service.features.resources.call_context import CallContext
@@ -51,7 +51,6 @@ class MapFiles:
     def __init__(self, context: CallContext) -> None:
         """Files are made by jobs."""
         self._context = context
-        self._collector = BlobCollector(context.storage)
 
     async def publish(self, tenant: TenantId, map_id: str, version: int, description: str = "") -> PostedOperation:
         """Queue the making of a file. Raises NotFound, BadField, WorkersBusy, Draining, StorageFull."""
@@ -87,8 +86,7 @@ class MapFiles:
         """Delete a file; the version stays. Raises NotFound, Draining."""
         self._context.admission.require_running()
         entry = audit.noted(tenant, "map_file_deleted", f"maps/{map_id}/files/{version}")
-        doomed = await self._context.storage.write(partial(self._delete, map_id=map_id, version=version, entry=entry))
-        await self._collector.collect(tenant, doomed)
+        await self._context.storage.write(partial(self._delete, map_id=map_id, version=version, entry=entry))
 
     async def open(self, tenant: TenantId, map_id: str, version: int) -> OpenMapFile:
         """A file to be sent. Raises NotFound, DataLoss."""
@@ -122,12 +120,11 @@ class MapFiles:
         uow.map_files.replace(enabled)
         return enabled
 
-    def _delete(self, uow: UnitOfWork, map_id: str, version: int, entry: AuditEntry) -> set[Blob]:
+    def _delete(self, uow: UnitOfWork, map_id: str, version: int, entry: AuditEntry) -> None:
         tenant = TenantId(entry.tenant)
         record = _require_file(uow, tenant, map_id, version)
         audit.append(uow, self._context.clock.wall_ns(), entry)
-        uow.map_files.delete(tenant, number=record.number)
-        return {(MAP_LAYOUT_BLOB, record.layout_sha256)}
+        forget_file(uow, record)
 
 
 def _require_file(uow: UnitOfWork, tenant: TenantId, map_id: str, version: int) -> MapFileRecord:

@@ -21,6 +21,7 @@ from revisit.service.domain.records import MapFileRecord, SubmapRecord
 from revisit.service.domain.states import MapFileState, SubmapState
 from revisit.service.failpoints import failpoint
 from revisit.service.features.catalogue.maps import policy_in_force
+from revisit.service.features.deletion.blob_references import forget_file
 from revisit.service.features.graph.session_poses import PackedSubmaps
 from revisit.service.features.optimisation.calls import version_seen
 from revisit.service.features.publishing.layout import LayoutRecorder, MapLayout
@@ -64,12 +65,12 @@ class MapFiling:
             plan = self._context.transactions.read(partial(self._plan, tenant=tenant, payload=payload)).result()
             layout = self._layout(tenant, plan)
             map_hash = layout.hash_with(partial(self._context.blobs.get, tenant, NEURAL_MAP_BLOB))
-            blob = layout.to_blob()
-            stored = self._context.blobs.put(tenant, MAP_LAYOUT_BLOB, blob)
+            put = partial(self._context.blobs.put, tenant, MAP_LAYOUT_BLOB, layout.to_blob())
+            stored = put()
             failpoint("publish.after_blob")
             record = self._record(tenant, payload, plan, map_hash, layout.size, stored)
-            commit = partial(self._stored, lease=lease, plan=plan, record=record, blob=blob)
-            if self._context.transactions.write(commit).result():
+            commit = partial(self._stored, lease=lease, plan=plan, record=record)
+            if self._context.write_naming(commit, put):
                 return
         raise Unavailable("the map was changed again and again while its file was made")
 
@@ -103,7 +104,7 @@ class MapFiling:
             created_at_ns=self._context.clock.wall_ns(),
         )
 
-    def _stored(self, uow: UnitOfWork, lease: Lease, plan: FilingPlan, record: MapFileRecord, blob: bytes) -> bool:
+    def _stored(self, uow: UnitOfWork, lease: Lease, plan: FilingPlan, record: MapFileRecord) -> bool:
         """Store the row and end the job; False where a submap of the file has gone meanwhile."""
         uow.queue.require(lease)
         tenant = record.tenant
@@ -111,8 +112,7 @@ class MapFiling:
             return False
         known = uow.map_files.get(tenant, record.map_id, record.version)
         if known is None:
-            if not self._context.blobs.exists(tenant, MAP_LAYOUT_BLOB, record.layout_sha256):
-                self._context.blobs.put(tenant, MAP_LAYOUT_BLOB, blob)
+            uow.blobs.refer(tenant, [(MAP_LAYOUT_BLOB, record.layout_sha256)])
             known = uow.map_files.add(record)
             _forget_oldest(uow, tenant, record.map_id)
         name = f"maps/{known.map_id}/files/{known.version}"
@@ -172,7 +172,7 @@ def _as_sent(T: Matrix4) -> Matrix4:
 
 
 def _forget_oldest(uow: UnitOfWork, tenant: TenantId, map_id: str) -> None:
-    """Delete the oldest files of a map that are too many and not ENABLED; the next sweep deletes their blobs."""
+    """Delete the oldest files of a map that are too many and not ENABLED."""
     disabled = uow.map_files.find(tenant, map_id=map_id, state=MapFileState.DISABLED.value)
     for row in disabled[: max(0, uow.map_files.count(tenant, map_id=map_id) - limits.MAP_FILES)]:
-        uow.map_files.delete(tenant, number=row.number)
+        forget_file(uow, row)

@@ -19,7 +19,7 @@ from revisit.core.acceptance import Decided, LoopClaim, PredictedPoses, accept, 
 from revisit.core.config import PipelineConfig
 from revisit.core.pair_verdict import InitialPose, PairVerdict
 from revisit.core.submap import Submap
-from revisit.service.domain.identity import SubmapKey
+from revisit.service.domain.identity import SubmapKey, TenantId
 from revisit.service.domain.policy import Policy
 from revisit.service.domain.records import JobRecord, LoopRecord, SubmapRecord
 from revisit.service.domain.states import SubmapState
@@ -103,7 +103,7 @@ class SubmapDescriptionJob:
         description = self._recogniser.describe(self._upright(task), config)
         stored = self._store(task, replace(description, flags=(*noticed, *description.flags)))
         failpoint("job.before_enter")
-        self._context.transactions.write(Entry(self._context.blobs, lease, task.map, stored)).result()
+        self._context.write_naming(Entry(lease, task.map, stored), stored.put)
         failpoint("job.after_enter")
         return stored.description
 
@@ -123,7 +123,8 @@ class SubmapDescriptionJob:
         if description.neural_map is not None:
             blobs.append((NEURAL_MAP_BLOB, description.neural_map))
         failpoint("job.after_description")
-        sha256 = {kind: self._context.blobs.put(submap.tenant, kind, data) for kind, data in blobs}
+        put = partial(self._put, submap.tenant, blobs)
+        sha256 = put()
         failpoint("job.after_blobs")
         row = replace(
             submap,
@@ -136,7 +137,11 @@ class SubmapDescriptionJob:
             neural_map_sha256=sha256.get(NEURAL_MAP_BLOB),
             neural_map_bytes=None if description.neural_map is None else len(description.neural_map),
         )
-        return StoredDescription(row, description, tuple(blobs))
+        return StoredDescription(row, description, tuple(sha256.items()), put)
+
+    def _put(self, tenant: TenantId, blobs: list[tuple[str, bytes]]) -> dict[str, str]:
+        """Store blobs durably; the hash of each by its kind."""
+        return {kind: self._context.blobs.put(tenant, kind, data) for kind, data in blobs}
 
     def _close_loops(self, lease: Lease, query: Query, config: PipelineConfig) -> None:
         """Search among the submaps that entered before this one, verify and commit."""

@@ -20,10 +20,11 @@ from revisit.service.domain.policy import Policy
 from revisit.service.domain.records import MapRecord, SubmapRecord
 from revisit.service.domain.states import SubmapState
 from revisit.service.features.catalogue.maps import model_for_map
+from revisit.service.features.deletion.blob_references import blobs_of_submap
 from revisit.service.features.ingest.rows import load_submap, submap_source
 from revisit.service.ports.blobs import NEURAL_MAP_BLOB, PLACE_BLOB, BlobStore
 from revisit.service.ports.recogniser import PlaceRecogniser, SubmapDescription
-from revisit.service.ports.storage import require_map
+from revisit.service.ports.storage import require_map, write_naming
 from revisit.service.ports.transactions import Transactions, UnitOfWork
 
 Progress = Callable[[int, int], None]
@@ -107,8 +108,8 @@ class Reembedding:
             for number, submap in enumerate(submaps, 1):
                 renewed.append(known.get(submap.number) or self._renew(record, submap))
                 progress(number, len(submaps))
-            rows = [self._row(record, one) for one in renewed]
-            if self._transactions.write(partial(self._commit, record=record, renewed=renewed, rows=rows)).result():
+            put = partial(self._rows, record, renewed)
+            if write_naming(self._transactions, partial(self._commit, record=record, renewed=renewed, rows=put()), put):
                 break
         self._drafts.discard()
         return Reembedded(
@@ -164,14 +165,15 @@ class Reembedding:
             if one.description is None:
                 uow.changes.record_removed(row.tenant, record.number, [row.number])
             else:
-                # Blobs without a row may have been swept away meanwhile.
-                if not self._blobs.exists(row.tenant, PLACE_BLOB, str(row.place_sha256)):
-                    self._blobs.put(row.tenant, PLACE_BLOB, one.description.place)
-                if one.description.neural_map is not None:
-                    self._blobs.put(row.tenant, NEURAL_MAP_BLOB, one.description.neural_map)
+                uow.blobs.refer(row.tenant, blobs_of_submap(row))
+                uow.blobs.release(row.tenant, blobs_of_submap(one.submap) - blobs_of_submap(row))
                 uow.changes.record_described(row.tenant, record.number, row.number)
         uow.maps.replace(replace(current, model_version=self._model(record)))
         return True
+
+    def _rows(self, record: MapRecord, renewed: Sequence[_Renewed]) -> list[SubmapRecord]:
+        """The rows as they are to be; their blobs are stored."""
+        return [self._row(record, one) for one in renewed]
 
     def _row(self, record: MapRecord, renewed: _Renewed) -> SubmapRecord:
         """The submap's row as it is to be; its blobs are stored before any row names them."""

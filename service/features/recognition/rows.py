@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import hashlib
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -26,7 +26,7 @@ from revisit.service.features.loops.rows import (
     change_loop,
     decided_by_person,
 )
-from revisit.service.ports.blobs import BlobStore
+from revisit.service.ports.blobs import Blob
 from revisit.service.ports.job_queue import Lease
 from revisit.service.ports.recogniser import SubmapDescription
 from revisit.service.ports.storage import require_map
@@ -60,11 +60,12 @@ class RevisedLoop:
 
 @dataclass(frozen=True)
 class StoredDescription:
-    """A description with durable blobs, and the row that names them."""
+    """A description with durable blobs, and the row that names them; `put` stores them again."""
 
     row: SubmapRecord
     description: SubmapDescription
-    blobs: tuple[tuple[str, bytes], ...]
+    blobs: tuple[Blob, ...]
+    put: Callable[[], object]
 
 
 @dataclass(frozen=True)
@@ -86,7 +87,6 @@ class Query:
 class Entry:
     """The transaction in which a described submap enters its map: descriptor, state and change of the index."""
 
-    blobs: BlobStore
     lease: Lease
     map: MapRecord
     described: StoredDescription
@@ -102,19 +102,12 @@ class Entry:
         current = require_map(uow, row.tenant, row.map_id)
         if current.model_version not in (None, row.model_version):
             raise DescriptorModelMismatch(f"map {row.map_id} was described by model {current.model_version}")
-        self._keep_blobs()
+        uow.blobs.refer(row.tenant, self.described.blobs)
         if current.model_version is None:
             uow.maps.replace(replace(current, model_version=row.model_version))
         uow.submaps.replace(replace(row, map_version=current.map_version))
         failpoint("merge.after_submap")
         uow.changes.record_described(row.tenant, self.map.number, row.number)
-
-    def _keep_blobs(self) -> None:
-        tenant, blobs = self.described.row.tenant, self.blobs
-        for kind, data in self.described.blobs:
-            # A delete may have collected the same content meanwhile (see blob_references.collect_blobs).
-            if not blobs.exists(tenant, kind, hashlib.sha256(data).hexdigest()):
-                blobs.put(tenant, kind, data)
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable
 from functools import partial
 from typing import Any
 
@@ -15,6 +14,7 @@ from revisit.service.domain.errors import NotFound, Unavailable
 from revisit.service.domain.identity import TenantId
 from revisit.service.domain.records import MapTileRecord
 from revisit.service.failpoints import failpoint
+from revisit.service.features.deletion.blob_references import blob_of_tile
 from revisit.service.features.tiles.rows import TilePlan, Tiling, read_plan, read_tiling
 from revisit.service.ports.blobs import NEURAL_MAP_BLOB, TILE_BLOB
 from revisit.service.ports.job_context import JobContext
@@ -116,13 +116,13 @@ class TileMaking:
         """Make a tile and store it; None where its submaps have changed meanwhile."""
         read = partial(self._context.blobs.get, tenant, NEURAL_MAP_BLOB)
         blob = pack_tile(self._maker.fuse(plan.maps, plan.centre_m, read), plan.centre_m)
-        sha256 = self._context.blobs.put(tenant, TILE_BLOB, blob)
+        put = partial(self._context.blobs.put, tenant, TILE_BLOB, blob)
+        sha256 = put()
         failpoint("tile.after_blob")
-        keep: Callable[[], str] = partial(self._context.blobs.put, tenant, TILE_BLOB, blob)
-        commit = partial(self._stored, tenant=tenant, plan=plan, sha256=sha256, keep=keep)
-        return sha256 if self._context.transactions.write(commit).result() else None
+        commit = partial(self._stored, tenant=tenant, plan=plan, sha256=sha256)
+        return sha256 if self._context.write_naming(commit, put) else None
 
-    def _stored(self, uow: UnitOfWork, tenant: TenantId, plan: TilePlan, sha256: str, keep: Callable[[], str]) -> bool:
+    def _stored(self, uow: UnitOfWork, tenant: TenantId, plan: TilePlan, sha256: str) -> bool:
         """Store the row of a tile if its submaps are unchanged."""
         key = plan.key
         try:
@@ -131,8 +131,7 @@ class TileMaking:
         except NotFound:
             return False
         if stored_tile(uow, tenant, key) is None:
-            if not self._context.blobs.exists(tenant, TILE_BLOB, sha256):
-                keep()
+            uow.blobs.refer(tenant, [(TILE_BLOB, sha256)])
             row = MapTileRecord(
                 tenant, key.map_id, key.version, key.tile_id, sha256, len(plan.placed), self._context.clock.wall_ns()
             )
@@ -142,8 +141,9 @@ class TileMaking:
 
 
 def _forget_oldest(uow: UnitOfWork, tenant: TenantId, map_id: str) -> None:
-    """Delete the tiles of a map that are too many; the next sweep deletes their blobs."""
+    """Delete the tiles of a map that are too many."""
     too_many = uow.map_tiles.count(tenant, map_id=map_id) - MOST_STORED
     if too_many > 0:
         for row in uow.map_tiles.find(tenant, limit=too_many, map_id=map_id):
             uow.map_tiles.delete(tenant, number=row.number)
+            uow.blobs.release(tenant, {blob_of_tile(row)})

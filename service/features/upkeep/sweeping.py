@@ -1,43 +1,80 @@
-"""Sweeping: deletes blobs without a row, left behind where a process ended between storing the two."""
+"""Collecting blobs: those that no row has named for an hour are deleted.
+
+Rows that go release their blobs in their own transaction. Files that never had a row are found by a sweep, which
+lets their hour begin; a process that ended between storing the two has left them behind.
+"""
 
 from __future__ import annotations
 
 import asyncio
+import time
+from functools import partial
 from itertools import groupby, islice
 
 import structlog
 
 from revisit.service.domain.identity import TenantId
-from revisit.service.features.deletion.blob_references import (
-    BLOBS_PER_TURN,
-    Blob,
-    BlobCollector,
-    unreferenced,
-)
-from revisit.service.ports.blobs import StoredBlob
+from revisit.service.failpoints import failpoint
+from revisit.service.ports.blobs import MOST_MS, BlobCollection, BlobStore, StoredBlob
 from revisit.service.ports.storage import Storage
+from revisit.service.ports.transactions import UnitOfWork
 
-MIN_AGE_S = 3600.0
-"""A blob is stored moments before the row that names it; a younger one may still wait for its row."""
+UNREFERENCED_S = 3600.0
+"""Time for which no row has named a blob before it is deleted, by the store's clock: longer than any transaction."""
+
+BLOBS_PER_TURN = 200
+"""Blobs that are looked at, or deleted, at once: other writers get their turn in between."""
 
 log = structlog.get_logger(__name__)
 
 
-async def sweep(storage: Storage, min_age_s: float = MIN_AGE_S) -> int:
-    """Delete every blob of every tenant that is old enough and that no row names; how many were found."""
+async def sweep(storage: Storage, min_age_s: float = UNREFERENCED_S) -> int:
+    """Let the hour begin of each old file that no row names; how many there were."""
     stored = storage.blobs.stored(min_age_s)
     found = 0
     while turn := await asyncio.to_thread(lambda: list(islice(stored, BLOBS_PER_TURN))):
         for tenant, blobs in groupby(turn, key=lambda blob: blob.tenant):
-            found += await _sweep_turn(storage, tenant, list(blobs))
+            found += await _release_strays(storage, tenant, list(blobs))
     if found:
-        log.info("blobs_swept", blobs=found)
+        log.info("stray_blobs_found", blobs=found)
     return found
 
 
-async def _sweep_turn(storage: Storage, tenant: TenantId, blobs: list[StoredBlob]) -> int:
-    addresses: list[Blob] = [(blob.kind, blob.sha256) for blob in blobs]
-    orphans = await storage.read(lambda uow: unreferenced(uow, tenant, addresses))
-    # Looks again, alone in a write transaction: a row may name one of them by now.
-    await BlobCollector(storage).collect(tenant, orphans)
-    return len(orphans)
+async def collect(storage: Storage, unreferenced_s: float = UNREFERENCED_S) -> int:
+    """Delete the blobs that no row has named for so long; how many."""
+    age_ms, deleted = int(unreferenced_s * 1000), 0
+    while True:
+        until_s = time.monotonic() + MOST_MS / 1000
+        begun = await storage.write(lambda uow: uow.blobs.begin(age_ms, BLOBS_PER_TURN))
+        if not begun.blobs:
+            break
+        gone = await asyncio.to_thread(_deleted, storage.blobs, begun, until_s)
+        await storage.write(partial(_end, begun=begun, gone=gone))
+        deleted += len(gone)
+    if deleted:
+        log.info("blobs_collected", blobs=deleted)
+    return deleted
+
+
+async def _release_strays(storage: Storage, tenant: TenantId, blobs: list[StoredBlob]) -> int:
+    addresses = [(blob.kind, blob.sha256) for blob in blobs]
+    strays = await storage.read(lambda uow: uow.blobs.strays(tenant, addresses))
+    if strays:
+        await storage.write(lambda uow: uow.blobs.release(tenant, strays))
+    return len(strays)
+
+
+def _end(uow: UnitOfWork, begun: BlobCollection, gone: list[int]) -> None:
+    uow.blobs.end(begun, gone)
+
+
+def _deleted(blobs: BlobStore, begun: BlobCollection, until_s: float) -> list[int]:
+    """Delete the blobs of a collection up to `until_s` of the monotonic clock; their numbers."""
+    gone = []
+    for number, blob in begun.blobs.items():
+        if time.monotonic() > until_s:
+            break
+        blobs.delete(blob.tenant, blob.kind, blob.sha256)
+        failpoint("delete.after_blob")
+        gone.append(number)
+    return gone

@@ -152,10 +152,6 @@ class MemoryRepository(Generic[R]):
         """See `Repository`."""
         return self._matching(tenant, equals)[:limit]
 
-    def named(self, tenant: TenantId, field: str, values: Collection[str]) -> set[str]:
-        """See `Repository`."""
-        return self.distinct(tenant, field).intersection(values)
-
     def delete_some(self, tenant: TenantId, limit: int, field: str, values: Sequence[str | int]) -> int:
         """See `Repository`."""
         some = [row.number for row in self._having(tenant, {}) if getattr(row, field) in values]

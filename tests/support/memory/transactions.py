@@ -29,6 +29,7 @@ from revisit.service.engines.local.clock import SystemClock
 from revisit.service.ports.clock import Clock
 from revisit.service.ports.transactions import UnitOfWork
 from tests.support.memory.access import MemoryAuditTrail, MemoryKeyRing
+from tests.support.memory.blob_rows import MemoryBlobRows
 from tests.support.memory.repositories import (
     Doomed,
     MemoryChangeLog,
@@ -50,6 +51,7 @@ _TABLES = (
     *("maps", "robots", "sessions", "scans", "submaps", "loops"),
     *("loop_events", "map_versions", "session_poses", "early_corrections", "map_merges", "map_tiles", "map_files"),
     "deletions",
+    "unreferenced_blobs",
     *("jobs", "turns", "changes", "events", "webhooks", "webhook_deliveries", "workers", "keys", "audit"),
 )
 
@@ -92,6 +94,7 @@ class MemoryUnitOfWork:
         )
         turns = FairTurns(MemoryTenantTurns(tables["turns"], self.jobs))
         self.queue = LeasedJobs(self.jobs, turns, lease_ms, clock)
+        self.blobs = MemoryBlobRows(tables["unreferenced_blobs"], tables, clock)
         self.changes = MemoryChangeLog(tables["changes"], tables["submaps"])
         self.workers = MemoryWorkerLog(tables["workers"], clock)
         self.keys = MemoryKeyRing(tables["keys"].by_number)

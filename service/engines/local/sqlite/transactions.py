@@ -29,7 +29,7 @@ from sqlalchemy.exc import DatabaseError
 from revisit.core.errors import DataLoss
 from revisit.service.domain.errors import StorageFull, StorageUncertain
 from revisit.service.engines.group_commit import GroupCommitter
-from revisit.service.engines.local.clock import SystemClock
+from revisit.service.engines.local.clock import MachineClock, SystemClock
 from revisit.service.engines.local.files.disk import FailStop, may_grow, open_lock, try_lock
 from revisit.service.engines.local.sqlite.connections import (
     READER_PRAGMAS,
@@ -42,9 +42,9 @@ from revisit.service.engines.local.sqlite.connections import (
     writer_pragmas,
 )
 from revisit.service.engines.local.sqlite.engine import SqliteEngine
+from revisit.service.engines.local.sqlite.store_clock import StoreClock
 from revisit.service.engines.sql.unit_of_work import SqlUnitOfWork
 from revisit.service.failpoints import failpoint
-from revisit.service.ports.clock import Clock
 from revisit.service.ports.transactions import UnitOfWork
 
 T = TypeVar("T")
@@ -72,7 +72,7 @@ class SqliteTransactions:
         *,
         checkpoints: bool,
         lease_ms: int = 10_000,
-        clock: Clock | None = None,
+        clock: MachineClock | None = None,
         fail_stop: FailStop | None = None,
         on_full: Callable[[], None] = lambda: None,
     ) -> None:
@@ -88,10 +88,11 @@ class SqliteTransactions:
         self._closed = False
         require_pragmas(self._writer, writer_pragmas(checkpoints=checkpoints))
         require_pragmas(self._reader, READER_PRAGMAS)
-        self._engine = SqliteEngine()
+        self._clock = clock or SystemClock()
+        self._store_clock = StoreClock(self._clock)
+        self._engine = SqliteEngine(self._store_clock)
         self._lock = WriterLock(path)
         self._lease_ms = lease_ms
-        self._clock = clock or SystemClock()
         self._fail_stop = fail_stop or FailStop()
         self._failures = StorageFailures(write_ahead_log(path), self._fail_stop, on_full)
         self._writing = GroupCommitter(self._transaction)
@@ -131,6 +132,7 @@ class SqliteTransactions:
         self._fail_stop.require_sound()
         with self._failures.translated(), self._lock.held():
             with self._writer.begin() as connection:
+                self._store_clock.begin(connection)
                 yield connection
                 failpoint("commit.before")
             failpoint("commit.after")
