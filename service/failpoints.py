@@ -54,8 +54,8 @@ POINTS = {
     "index.before_file_named": "the file of an index is written, its map does not name it",
     "index.after_file_named": "a map names the file of its index, no process has loaded it",
     "delete.after_mark": "a session or map is marked as deleted, its rows and blobs are there",
-    "delete.after_rows": "a submap, or a portion of the rows of a session or map, is gone, the blobs are there",
-    "delete.after_blob": "one blob of what was deleted is gone, others may be there",
+    "delete.after_rows": "a submap, or a portion of the rows of a session or map, is gone, its blobs wait",
+    "delete.after_blob": "one blob that no row names is gone, its collection has not ended",
 }
 """Every point there is, and where the code stands when it is reached."""
 

@@ -42,7 +42,7 @@ class BlobCollection:
     blobs: dict[int, StoredBlob]
 
 
-MOST_MS = 60_000
+MOST_MS = 10_000
 """Longest time in which a collection deletes its blobs."""
 
 REMEMBERED_MS = 3_600_000

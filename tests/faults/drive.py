@@ -28,6 +28,7 @@ from revisit.service.features.graph.map_jobs import post_map_job
 from revisit.service.features.index.keeping import IndexHealth
 from revisit.service.features.merging.calls import MergeMap
 from revisit.service.features.resources.paging import PageRequest
+from revisit.service.features.upkeep.sweeping import UNREFERENCED_S, collect
 from revisit.service.ports.transactions import UnitOfWork
 from tests.faults.history import History, Kind, Outcome
 from tests.support.fake_merger import EasyMerger
@@ -63,6 +64,7 @@ async def drive(world: World, history: History) -> None:
     world.merger = EasyMerger()
     # As a gateway does when it starts: what was being deleted goes.
     await world.context.erasure.all()
+    await _collect(world)
     for session in (POSTED, STREAMED, SCRAPPED):
         await open_session(world, session)
     for submap_id, place in PLACES.items():
@@ -78,6 +80,7 @@ async def drive(world: World, history: History) -> None:
     removed = world.use_cases.submaps.delete(TENANT, SubmapKey(POSTED.map_id, POSTED.session_id, DELETED))
     await _delete(removed, history, DELETED)
     await _delete(world.use_cases.sessions.delete(TENANT, SCRAPPED), history, *SCRAPPED_PLACES)
+    await _collect(world)
     await world.use_cases.sessions.finish(TENANT, STREAMED)
     world.work_off()
     for _ in range(2):
@@ -88,6 +91,12 @@ async def drive(world: World, history: History) -> None:
     await _save_index(world)
     await world.use_cases.map_versions.revert(TENANT, POSTED.map_id, 1)
     await _merge_and_take_back(world, history)
+
+
+async def _collect(world: World) -> None:
+    """As a gateway does an hour later."""
+    world.clock.ms += int(1000 * UNREFERENCED_S)
+    await collect(world.context.storage)
 
 
 def _test_rejected_loops_again(world: World) -> None:

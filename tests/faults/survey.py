@@ -18,6 +18,7 @@ from revisit.service.engines.local.clock import SystemClock
 from revisit.service.engines.local.files.blobs import FileBlobStore
 from revisit.service.engines.local.sqlite.connections import writer_engine
 from revisit.service.engines.local.sqlite.engine import SqliteEngine
+from revisit.service.engines.local.sqlite.store_clock import StoreClock
 from revisit.service.engines.sql.unit_of_work import SqlUnitOfWork
 from revisit.service.features.deletion.blob_references import blobs_of_submap
 from revisit.service.features.graph.session_poses import unpack_loops
@@ -52,7 +53,9 @@ def survey(home: Path, tenant: TenantId = TENANT) -> Survey:
     blobs = FileBlobStore(home / "blobs")
     try:
         with engine.begin() as connection:
-            found = _survey(SqlUnitOfWork(connection, SqliteEngine(), 10_000, SystemClock()), blobs, tenant)
+            clock = SystemClock()
+            uow = SqlUnitOfWork(connection, SqliteEngine(StoreClock(clock)), 10_000, clock)
+            found = _survey(uow, blobs, tenant)
             found.problems.extend(_file_problems(connection))
     finally:
         engine.dispose()

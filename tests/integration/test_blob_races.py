@@ -24,11 +24,15 @@ from revisit.service.engines.sql.blob_rows import CUT_OFF_MS
 from revisit.service.features.upkeep.sweeping import BLOBS_PER_TURN, collect
 from revisit.service.ports.blobs import CLOUD_BLOB
 from revisit.service.ports.storage import Naming, Storage, write_naming
+from revisit.service.use_cases import UseCases
+from tests.faults.drive import drive
+from tests.faults.history import History
 from tests.support.made_database import made_database
 from tests.support.memory.blobs import MemoryBlobStore
 from tests.support.memory.transactions import MemoryTransactions
 from tests.support.plain_engine import PlainTransactions
 from tests.support.records import TENANT, a_map, a_scan, a_session
+from tests.support.service_world import sqlite_world
 from tests.support.stepped_clock import SteppedClock
 
 RACES = int(os.environ.get("REVISIT_BLOB_RACES", "30"))
@@ -218,3 +222,29 @@ def with_one_row_less(storage: Storage, seq: int) -> None:
         uow.blobs.release(TENANT, {BLOB})
 
     storage.transactions.write(delete).result()
+
+
+class OutsideOfTransactions:
+    """A blob store that no unit of work may call: it notes the names of the threads that do."""
+
+    def __init__(self, store: MemoryBlobStore) -> None:
+        self._store = store
+        self.within: set[str] = set()
+
+    def __getattr__(self, name):
+        if threading.current_thread().name == "writer":
+            self.within.add(name)
+        return getattr(self._store, name)
+
+
+async def test_no_transaction_touches_a_blob(tmp_path):
+    world = sqlite_world(tmp_path)
+    blobs = OutsideOfTransactions(MemoryBlobStore())
+    context = replace(world.context, blobs=blobs)
+    world = replace(world, context=context, use_cases=UseCases.over(context, "test"))
+    try:
+        await drive(world, History())
+    finally:
+        context.transactions.close()
+    assert len(blobs._store._blobs) > 10
+    assert blobs.within == set()

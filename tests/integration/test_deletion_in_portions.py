@@ -21,6 +21,7 @@ from revisit.service.features.catalogue.sessions import CreateSession
 from revisit.service.features.deletion import erasure
 from revisit.service.features.index.keeping import IndexHealth
 from revisit.service.features.resources.paging import PageRequest
+from revisit.service.features.upkeep.sweeping import UNREFERENCED_S, collect
 from tests.support.records import a_scan
 from tests.support.service_world import (
     SESSION,
@@ -197,7 +198,8 @@ async def test_a_deletion_that_was_cut_off_goes_on_after_a_restart(tmp_path, mon
     world.context.transactions.close()
     again = sqlite_world(tmp_path)
     await again.context.erasure.all()
-    await again.context.erasure.all()
+    again.clock.ms += int(1000 * UNREFERENCED_S)
+    await collect(again.context.storage)
     again.context.transactions.close()
     database = tmp_path / "revisit.db"
     left = {table: run(database, f"SELECT count(*) FROM {table}")[0][0] for table in IN_A_MAP}

@@ -21,7 +21,7 @@ from revisit.service.engines.sql.engine import DatabaseEngine
 from revisit.service.engines.sql.tables import unreferenced_blobs
 from revisit.service.ports.blobs import MOST_MS, REMEMBERED_MS, Blob, BlobCollection, StoredBlob
 
-CUT_OFF_MS = 10 * MOST_MS
+CUT_OFF_MS = 6 * MOST_MS
 """A collection that was begun so long ago and not ended was cut off: nobody deletes its blobs any more."""
 
 _rows = unreferenced_blobs.c

@@ -33,7 +33,7 @@ from revisit.service.ports.repositories import Repository
 from revisit.service.ports.storage import Storage
 from revisit.service.ports.transactions import UnitOfWork
 
-ROWS = 400
+ROWS = 300
 """Rows that one transaction deletes at most."""
 
 SUBMAPS = 100
