@@ -29,7 +29,8 @@ def transactions(request, tmp_path, clock):
         store.close()
         return
     if request.param == "postgres":
-        store = PostgresTransactions(request.getfixturevalue("postgres_url"), lease_ms=10_000, clock=clock)
+        url, now_ms = request.getfixturevalue("postgres_url"), lambda _: clock.ms
+        store = PostgresTransactions(url, lease_ms=10_000, clock=clock, now_ms=now_ms)
         yield store
         store.close()
         return

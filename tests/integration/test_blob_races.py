@@ -20,6 +20,7 @@ import pytest
 from revisit.service.domain.errors import BlobCollected
 from revisit.service.engines.local.files.blobs import FileBlobStore
 from revisit.service.engines.local.sqlite.transactions import SqliteTransactions
+from revisit.service.engines.postgres.transactions import PostgresTransactions
 from revisit.service.engines.sql.blob_rows import CUT_OFF_MS
 from revisit.service.features.upkeep.sweeping import BLOBS_PER_TURN, collect
 from revisit.service.ports.blobs import CLOUD_BLOB
@@ -52,12 +53,17 @@ def clock():
     return SteppedClock()
 
 
-@pytest.fixture(params=["memory", "sqlite", "plain"])
+@pytest.fixture(params=["memory", "sqlite", "plain", "postgres"])
 def storage(request, tmp_path, clock):
     if request.param == "memory":
         transactions, blobs = MemoryTransactions(10_000, clock), MemoryBlobStore()
     elif request.param == "plain":
         transactions, blobs = PlainTransactions(10_000, clock), MemoryBlobStore()
+    elif request.param == "postgres":
+        transactions = PostgresTransactions(
+            request.getfixturevalue("postgres_url"), clock=clock, now_ms=lambda _: clock.ms
+        )
+        blobs = MemoryBlobStore()
     else:
         database = made_database(tmp_path / "revisit.db")
         transactions = SqliteTransactions(database, checkpoints=True, clock=clock)
@@ -196,12 +202,21 @@ def raced(first: Storage, second: Storage, seq: int, rng: random.Random) -> None
     collector.join()
 
 
-def test_of_many_races_none_leaves_a_row_without_its_bytes(tmp_path):
-    database = made_database(tmp_path / "revisit.db")
-    stores = [
-        Storage(SqliteTransactions(database, checkpoints=number == 0), FileBlobStore(tmp_path / "blobs"))
-        for number in range(2)
-    ]
+@pytest.fixture(params=["sqlite", "postgres"])
+def stores(request, tmp_path):
+    """One store, as two processes have it open."""
+    if request.param == "sqlite":
+        database = made_database(tmp_path / "revisit.db")
+        opened = [SqliteTransactions(database, checkpoints=first) for first in (True, False)]
+    else:
+        url = request.getfixturevalue("postgres_url")
+        opened = [PostgresTransactions(url, clock=SteppedClock()) for _ in range(2)]
+    yield [Storage(transactions, FileBlobStore(tmp_path / "blobs")) for transactions in opened]
+    for transactions in opened:
+        transactions.close()
+
+
+def test_of_many_races_none_leaves_a_row_without_its_bytes(stores):
     with_a_released_blob(stores[0])
     rng, lost, collected = random.Random(7), 0, 0
     for race in range(1, RACES + 1):
@@ -210,8 +225,6 @@ def test_of_many_races_none_leaves_a_row_without_its_bytes(tmp_path):
         with_one_row_less(stores[0], race)
         if rng.random() < 0.5:
             collected += asyncio.run(collect(stores[1], 0.0))
-    for store in stores:
-        store.transactions.close()
     assert lost == 0
     assert collected > RACES // 10
 

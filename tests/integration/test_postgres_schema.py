@@ -16,7 +16,7 @@ from tests.support.made_database import made_database
 from tests.support.next_migration import NEXT_REVISION, migrations_with_a_next_step
 
 NARROW = {"INTEGER", "SMALLINT"}
-OWN = {"alembic_version", "schema_accepts", "audit_height"}
+OWN = {"alembic_version", "schema_accepts", "audit_height", "boots"}
 """Tables of an engine alone."""
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 from sqlalchemy import Connection, Table, func, select, text
 from sqlalchemy.exc import IntegrityError
 
@@ -9,10 +11,20 @@ UNIQUE_VIOLATION = "23505"
 
 _ALONE = text("SELECT pg_advisory_xact_lock(hashtext('revisit'), hashtext(:table))")
 _HEIGHT = text("SELECT number FROM audit_height")
+_NOW_MS = text("SELECT CAST(extract(epoch FROM clock_timestamp()) * 1000 AS BIGINT)")
+
+
+def server_ms(connection: Connection) -> int:
+    """The server's own clock, milliseconds."""
+    return int(connection.execute(_NOW_MS).scalar_one())
 
 
 class PostgresEngine:
     """`sql.engine.DatabaseEngine`. Write transactions of several processes run at the same time."""
+
+    def __init__(self, now_ms: Callable[[Connection], int]) -> None:
+        """`now_ms` tells the time of the store."""
+        self._now_ms = now_ms
 
     def last_number(self, connection: Connection, table: Table) -> int:
         """See `DatabaseEngine`: a trigger keeps that of the audit log, and of other tables the newest row stays.
@@ -26,6 +38,10 @@ class PostgresEngine:
     def number_in_commit_order(self, connection: Connection, table: Table) -> None:
         """See `DatabaseEngine`."""
         connection.execute(_ALONE, {"table": table.name})
+
+    def now_ms(self, connection: Connection) -> int:
+        """See `DatabaseEngine`."""
+        return self._now_ms(connection)
 
     def is_duplicate(self, error: IntegrityError) -> bool:
         """See `DatabaseEngine`."""

@@ -18,7 +18,7 @@ from sqlalchemy.exc import DBAPIError
 
 from revisit.service.engines.group_commit import GroupCommitter, Savepoints
 from revisit.service.engines.postgres.connections import READERS, reader_engine, writer_engine
-from revisit.service.engines.postgres.engine import PostgresEngine
+from revisit.service.engines.postgres.engine import PostgresEngine, server_ms
 from revisit.service.engines.postgres.failures import is_disturbed, translated
 from revisit.service.engines.sql.unit_of_work import SqlUnitOfWork
 from revisit.service.failpoints import failpoint
@@ -36,11 +36,13 @@ NEXT_MEMBER = f"RELEASE SAVEPOINT member; SET LOCAL lock_timeout = {GLANCE_MS}; 
 class PostgresTransactions:
     """`Transactions` on a database that `migrate` has prepared."""
 
-    def __init__(self, url: URL, *, clock: Clock, lease_ms: int = 10_000) -> None:
-        """Connects when something is read or written first."""
+    def __init__(
+        self, url: URL, *, clock: Clock, lease_ms: int = 10_000, now_ms: Callable[[Connection], int] = server_ms
+    ) -> None:
+        """Connects when something is read or written first; `now_ms` tells the time of the store."""
         self._writer = writer_engine(url)
         self._reader = reader_engine(url)
-        self._engine = PostgresEngine()
+        self._engine = PostgresEngine(now_ms)
         self._lease_ms = lease_ms
         self._clock = clock
         self._writing = GroupCommitter(self._transaction, PostgresSavepoints())
