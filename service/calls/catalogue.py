@@ -15,7 +15,7 @@ from revisit.service.features.resources.views import SubmapView
 from revisit.service.use_cases import UseCases
 from revisit.service.wire import names, requests
 from revisit.service.wire.fields import Fields, failure_fields, fields_in_map, fields_of, resource_name
-from revisit.service.wire.rendering import Answer, Listed
+from revisit.service.wire.rendering import Answer
 from revisit.v1 import map_pb2, robot_pb2, session_pb2, submap_pb2
 
 
@@ -29,36 +29,10 @@ async def create_map(cases: UseCases, tenant: TenantId, request: map_pb2.CreateM
     return {"map": map_fields(created.map), "replay": created.replay}
 
 
-async def get_map(cases: UseCases, tenant: TenantId, request: map_pb2.GetMapRequest) -> Answer:
-    """A map."""
-    return {"map": map_fields(await cases.maps.get(tenant, names.map_id(request.name)))}
-
-
-async def list_maps(cases: UseCases, tenant: TenantId, request: map_pb2.ListMapsRequest) -> Answer:
-    """The maps."""
-    return Listed("maps", await cases.maps.list(tenant, requests.page(request)), map_fields)
-
-
-async def delete_map(cases: UseCases, tenant: TenantId, request: map_pb2.DeleteMapRequest) -> Answer:
-    """Nothing is left of it."""
-    await cases.maps.delete(tenant, names.map_id(request.name))
-    return {}
-
-
 async def create_robot(cases: UseCases, tenant: TenantId, request: robot_pb2.CreateRobotRequest) -> Answer:
     """A new robot."""
     created = await cases.robots.create(tenant, CreateRobot(request.robot_id, request.display_name))
     return {"robot": robot_fields(created.robot), "replay": created.replay}
-
-
-async def get_robot(cases: UseCases, tenant: TenantId, request: robot_pb2.GetRobotRequest) -> Answer:
-    """A robot."""
-    return {"robot": robot_fields(await cases.robots.get(tenant, names.robot_id(request.name)))}
-
-
-async def list_robots(cases: UseCases, tenant: TenantId, request: robot_pb2.ListRobotsRequest) -> Answer:
-    """The robots."""
-    return Listed("robots", await cases.robots.list(tenant, requests.page(request)), robot_fields)
 
 
 async def create_session(cases: UseCases, tenant: TenantId, request: session_pb2.CreateSessionRequest) -> Answer:
@@ -71,44 +45,10 @@ async def create_session(cases: UseCases, tenant: TenantId, request: session_pb2
     return {"session": session_fields(created.session), "replay": created.replay}
 
 
-async def get_session(cases: UseCases, tenant: TenantId, request: session_pb2.GetSessionRequest) -> Answer:
-    """A session."""
-    return {"session": session_fields(await cases.sessions.get(tenant, names.session_key(request.name)))}
-
-
-async def list_sessions(cases: UseCases, tenant: TenantId, request: session_pb2.ListSessionsRequest) -> Answer:
-    """The sessions of a map."""
-    map_id = names.map_id(request.parent, "parent")
-    return Listed("sessions", await cases.sessions.list(tenant, map_id, requests.page(request)), session_fields)
-
-
-async def finish_session(cases: UseCases, tenant: TenantId, request: session_pb2.FinishSessionRequest) -> Answer:
-    """The session, which takes no more scans."""
-    return {"session": session_fields(await cases.sessions.finish(tenant, names.session_key(request.name)))}
-
-
-async def delete_session(cases: UseCases, tenant: TenantId, request: session_pb2.DeleteSessionRequest) -> Answer:
-    """Nothing is left of it."""
-    await cases.sessions.delete(tenant, names.session_key(request.name))
-    return {}
-
-
 async def get_submap(cases: UseCases, tenant: TenantId, request: submap_pb2.GetSubmapRequest) -> Answer:
     """A submap."""
     full = request.view == submap_pb2.GetSubmapRequest.FULL
     return {"submap": submap_fields(await cases.submaps.get(tenant, names.submap_key(request.name), full=full))}
-
-
-async def list_submaps(cases: UseCases, tenant: TenantId, request: submap_pb2.ListSubmapsRequest) -> Answer:
-    """The submaps of a session."""
-    session = names.session_key(request.parent, "parent")
-    return Listed("submaps", await cases.submaps.list(tenant, session, requests.page(request)), submap_fields)
-
-
-async def delete_submap(cases: UseCases, tenant: TenantId, request: submap_pb2.DeleteSubmapRequest) -> Answer:
-    """Nothing is left of it."""
-    await cases.submaps.delete(tenant, names.submap_key(request.name))
-    return {}
 
 
 async def download_submap(

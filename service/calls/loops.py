@@ -20,11 +20,6 @@ from revisit.service.wire.rendering import Answer, Listed
 from revisit.v1 import loop_closure_pb2 as pb
 
 
-async def get_loop_closure(cases: UseCases, tenant: TenantId, request: pb.GetLoopClosureRequest) -> Answer:
-    """A loop closure with its evidence."""
-    return {"loop_closure": loop_fields(await cases.loops.get(tenant, *names.loop_key(request.name)))}
-
-
 async def list_loop_closures(cases: UseCases, tenant: TenantId, request: pb.ListLoopClosuresRequest) -> Answer:
     """The loop closures of a map."""
     page = await cases.loops.list(
@@ -66,38 +61,11 @@ async def create_loop_closure(cases: UseCases, tenant: TenantId, request: pb.Cre
     }
 
 
-async def accept_loop_closure(cases: UseCases, tenant: TenantId, request: pb.AcceptLoopClosureRequest) -> Answer:
-    """The loop closure, accepted by a person."""
-    key = names.loop_key(request.name)
-    return {"loop_closure": loop_fields(await cases.loop_decisions.accept(tenant, *key, request.note))}
-
-
-async def reject_loop_closure(cases: UseCases, tenant: TenantId, request: pb.RejectLoopClosureRequest) -> Answer:
-    """The loop closure, rejected by a person."""
-    key = names.loop_key(request.name)
-    return {"loop_closure": loop_fields(await cases.loop_decisions.reject(tenant, *key, request.note))}
-
-
-async def revert_loop_closure(cases: UseCases, tenant: TenantId, request: pb.RevertLoopClosureRequest) -> Answer:
-    """The loop closure as it was before the last decision."""
-    key = names.loop_key(request.name)
-    return {"loop_closure": loop_fields(await cases.loop_decisions.revert(tenant, *key, request.note))}
-
-
 async def get_loop_closure_keypoints(
     cases: UseCases, tenant: TenantId, request: pb.GetLoopClosureKeypointsRequest
 ) -> Answer:
     """The keypoints of a loop closure's two submaps."""
     return keypoint_fields(await cases.loop_keypoints.of(tenant, *names.loop_key(request.name)))
-
-
-async def list_loop_closure_events(
-    cases: UseCases, tenant: TenantId, request: pb.ListLoopClosureEventsRequest
-) -> Answer:
-    """The history of a loop closure."""
-    key = names.loop_key(request.parent, "parent")
-    page = await cases.loop_decisions.events(tenant, *key, requests.page(request))
-    return Listed("loop_closure_events", page, loop_event_fields)
 
 
 def loop_fields(view: LoopClosureView) -> Fields:

@@ -7,7 +7,6 @@ from collections.abc import AsyncIterator
 import numpy as np
 
 from revisit.core.errors import BadField
-from revisit.service.calls.operations import asked_fields
 from revisit.service.domain import limits
 from revisit.service.domain.identity import TenantId
 from revisit.service.domain.records import MapFileRecord
@@ -16,14 +15,8 @@ from revisit.service.features.tiles.calls import MapDistances, MapPoints, MapQue
 from revisit.service.use_cases import UseCases
 from revisit.service.wire import names, requests
 from revisit.service.wire.fields import Fields, fields_of, vector_fields
-from revisit.service.wire.rendering import Answer, Listed
+from revisit.service.wire.rendering import Answer
 from revisit.v1 import map_file_pb2, map_tile_pb2
-
-
-async def list_map_tiles(cases: UseCases, tenant: TenantId, request: map_tile_pb2.ListMapTilesRequest) -> Answer:
-    """The tiles of a version of a map."""
-    key = names.version_key(request.parent, "parent")
-    return Listed("map_tiles", await cases.map_tiles.list(tenant, *key, requests.page(request)), tile_fields)
 
 
 async def download_map_tile(
@@ -56,34 +49,6 @@ async def find_map_points(cases: UseCases, tenant: TenantId, request: map_tile_p
     around = np.array([[centre.x, centre.y, centre.z]])
     question = MapQuestion(*key, request.frame, around, request.within_m, request.limit or MapQuestion.limit)
     return point_fields(await cases.map_tiles.points(tenant, question))
-
-
-async def publish_map_file(cases: UseCases, tenant: TenantId, request: map_file_pb2.PublishMapFileRequest) -> Answer:
-    """The operation that makes a file."""
-    key = names.version_key(request.parent, "parent")
-    return asked_fields(await cases.map_files.publish(tenant, *key, request.map_descriptor))
-
-
-async def get_map_file(cases: UseCases, tenant: TenantId, request: map_file_pb2.GetMapFileRequest) -> Answer:
-    """The description of a file."""
-    return {"map_file": file_fields(await cases.map_files.get(tenant, *names.file_key(request.name)))}
-
-
-async def list_map_files(cases: UseCases, tenant: TenantId, request: map_file_pb2.ListMapFilesRequest) -> Answer:
-    """The files of a map."""
-    page = await cases.map_files.list(tenant, names.map_id(request.parent, "parent"), requests.page(request))
-    return Listed("map_files", page, file_fields)
-
-
-async def enable_map_file(cases: UseCases, tenant: TenantId, request: map_file_pb2.EnableMapFileRequest) -> Answer:
-    """The file that robots are to use."""
-    return {"map_file": file_fields(await cases.map_files.enable(tenant, *names.file_key(request.name)))}
-
-
-async def delete_map_file(cases: UseCases, tenant: TenantId, request: map_file_pb2.DeleteMapFileRequest) -> Answer:
-    """The version stays."""
-    await cases.map_files.delete(tenant, *names.file_key(request.name))
-    return {}
 
 
 async def download_map_file(

@@ -14,37 +14,8 @@ from revisit.service.features.optimisation.calls import MapVersionView, SubmapPo
 from revisit.service.use_cases import UseCases
 from revisit.service.wire import names, requests
 from revisit.service.wire.fields import Fields, covariance_numbers, fields_of, resource_name, vector_fields
-from revisit.service.wire.rendering import Answer, Listed
+from revisit.service.wire.rendering import Answer
 from revisit.v1 import mapping_pb2 as pb
-
-
-async def optimise_map(cases: UseCases, tenant: TenantId, request: pb.OptimiseMapRequest) -> Answer:
-    """The operation that optimises a map."""
-    return asked_fields(await cases.map_versions.optimise(tenant, names.map_id(request.name)))
-
-
-async def list_map_versions(cases: UseCases, tenant: TenantId, request: pb.ListMapVersionsRequest) -> Answer:
-    """The versions of a map."""
-    page = await cases.map_versions.list(tenant, names.map_id(request.parent, "parent"), requests.page(request))
-    return Listed("map_versions", page, version_fields)
-
-
-async def get_map_version(cases: UseCases, tenant: TenantId, request: pb.GetMapVersionRequest) -> Answer:
-    """A version of a map."""
-    return {"map_version": version_fields(await cases.map_versions.get(tenant, *names.version_key(request.name)))}
-
-
-async def list_submap_poses(cases: UseCases, tenant: TenantId, request: pb.ListSubmapPosesRequest) -> Answer:
-    """The poses of a version of a map."""
-    key = names.version_key(request.parent, "parent")
-    page = await cases.map_versions.poses(tenant, *key, requests.page(request))
-    return Listed("submap_poses", page, submap_pose_fields)
-
-
-async def revert_map(cases: UseCases, tenant: TenantId, request: pb.RevertMapRequest) -> Answer:
-    """A new version with the poses of an earlier one."""
-    view = await cases.map_versions.revert(tenant, names.map_id(request.name), request.version)
-    return {"map_version": version_fields(view)}
 
 
 async def merge_map(cases: UseCases, tenant: TenantId, request: pb.MergeMapRequest) -> Answer:
@@ -57,27 +28,6 @@ async def merge_map(cases: UseCases, tenant: TenantId, request: pb.MergeMapReque
         requests.optional(request, "radius_m"),
     )
     return asked_fields(await cases.map_merges.merge(tenant, command))
-
-
-async def list_map_merges(cases: UseCases, tenant: TenantId, request: pb.ListMapMergesRequest) -> Answer:
-    """The merges into a map."""
-    page = await cases.map_merges.list(tenant, names.map_id(request.parent, "parent"), requests.page(request))
-    return Listed("map_merges", page, merge_fields)
-
-
-async def get_map_merge(cases: UseCases, tenant: TenantId, request: pb.GetMapMergeRequest) -> Answer:
-    """A merge into a map."""
-    return {"map_merge": merge_fields(await cases.map_merges.get(tenant, *names.merge_key(request.name)))}
-
-
-async def revert_map_merge(cases: UseCases, tenant: TenantId, request: pb.RevertMapMergeRequest) -> Answer:
-    """A merge, taken back."""
-    return {"map_merge": merge_fields(await cases.map_merges.revert(tenant, *names.merge_key(request.name)))}
-
-
-async def get_correction(cases: UseCases, tenant: TenantId, request: pb.GetCorrectionRequest) -> Answer:
-    """Where the odometry frame of a session lies in the map."""
-    return {"correction": correction_fields(await cases.corrections.get(tenant, names.session_key(request.name)))}
 
 
 async def watch_corrections(

@@ -16,11 +16,6 @@ from revisit.v1 import operation_pb2, system_pb2
 DEFAULT_OPERATION_WAIT_S = 30.0
 
 
-async def get_operation(cases: UseCases, tenant: TenantId, request: operation_pb2.GetOperationRequest) -> Answer:
-    """An operation."""
-    return {"operation": operation_fields(await cases.operations.get(tenant, names.operation_id(request.name)))}
-
-
 async def list_operations(cases: UseCases, tenant: TenantId, request: operation_pb2.ListOperationsRequest) -> Answer:
     """The operations."""
     state = requests.state_of(OperationState, operation_pb2.Operation.State, request.state)
@@ -34,16 +29,6 @@ async def wait_operation(cases: UseCases, tenant: TenantId, request: operation_p
     wait_s = DEFAULT_OPERATION_WAIT_S if given is None else limits.WAIT_S.validated(float(given), "timeout_s")
     view = await cases.operations.wait(tenant, names.operation_id(request.name), wait_s)
     return {"operation": operation_fields(view)}
-
-
-async def retry_operation(cases: UseCases, tenant: TenantId, request: operation_pb2.RetryOperationRequest) -> Answer:
-    """A failed description, queued again."""
-    return {"operation": operation_fields(await cases.dead_letters.retry(tenant, names.operation_id(request.name)))}
-
-
-async def cancel_operation(cases: UseCases, tenant: TenantId, request: operation_pb2.CancelOperationRequest) -> Answer:
-    """The operation, which changes nothing more."""
-    return {"operation": operation_fields(await cases.operations.cancel(tenant, names.operation_id(request.name)))}
 
 
 async def get_status(cases: UseCases, tenant: TenantId, _request: system_pb2.GetStatusRequest) -> Answer:

@@ -17,7 +17,7 @@ from revisit.service.use_cases import UseCases
 from revisit.service.wire import names, requests
 from revisit.service.wire.fields import Fields, fields_of
 from revisit.service.wire.json_form import json_form
-from revisit.service.wire.rendering import Answer, Listed
+from revisit.service.wire.rendering import Answer
 from revisit.v1 import event_pb2, webhook_pb2
 
 
@@ -36,36 +36,6 @@ async def create_webhook(cases: UseCases, tenant: TenantId, request: webhook_pb2
     kinds = tuple(requests.event_kinds(request.kinds))
     created = await cases.webhooks.create(tenant, CreateWebhook(request.webhook_id, request.url, map_id, kinds))
     return {"webhook": webhook_fields(created.webhook), "secret": created.secret, "replay": created.replay}
-
-
-async def get_webhook(cases: UseCases, tenant: TenantId, request: webhook_pb2.GetWebhookRequest) -> Answer:
-    """A webhook."""
-    return {"webhook": webhook_fields(await cases.webhooks.get(tenant, names.webhook_id(request.name)))}
-
-
-async def list_webhooks(cases: UseCases, tenant: TenantId, request: webhook_pb2.ListWebhooksRequest) -> Answer:
-    """The webhooks."""
-    return Listed("webhooks", await cases.webhooks.list(tenant, requests.page(request)), webhook_fields)
-
-
-async def delete_webhook(cases: UseCases, tenant: TenantId, request: webhook_pb2.DeleteWebhookRequest) -> Answer:
-    """Nothing more is sent."""
-    await cases.webhooks.delete(tenant, names.webhook_id(request.name))
-    return {}
-
-
-async def resume_webhook(cases: UseCases, tenant: TenantId, request: webhook_pb2.ResumeWebhookRequest) -> Answer:
-    """The webhook, which is tried again at once."""
-    return {"webhook": webhook_fields(await cases.webhooks.resume(tenant, names.webhook_id(request.name)))}
-
-
-async def list_webhook_deliveries(
-    cases: UseCases, tenant: TenantId, request: webhook_pb2.ListWebhookDeliveriesRequest
-) -> Answer:
-    """The last attempts."""
-    webhook_id = names.webhook_id(request.parent, "parent")
-    page = await cases.webhooks.deliveries(tenant, webhook_id, requests.page(request))
-    return Listed("webhook_deliveries", page, delivery_fields)
 
 
 def event_fields(view: EventView) -> Fields:

@@ -7,7 +7,7 @@ from functools import partial
 from typing import Any, cast
 
 from revisit.api.calls import Call
-from revisit.service.calls import catalogue, ingest, loops, map_parts, mapping, operations, push, search
+from revisit.service.calls import catalogue, ingest, loops, map_parts, mapping, operations, plain, push, search
 from revisit.service.domain.identity import TenantId
 from revisit.service.use_cases import UseCases
 from revisit.service.wire.fields import Fields
@@ -18,7 +18,7 @@ ROOMS = (catalogue, ingest, search, loops, mapping, map_parts, operations, push)
 
 def answers(call: Call, cases: UseCases) -> Callable[[TenantId, Any], Awaitable[Answer]]:
     """Answers one request of a tenant."""
-    return partial(_use(call), cases)
+    return plain.answers(call, cases) if call.name in plain.USES else partial(_use(call), cases)
 
 
 def streams(call: Call, cases: UseCases) -> Callable[[TenantId, Any], AsyncIterator[Fields]]:

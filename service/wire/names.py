@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
 from revisit.core.errors import BadField
 from revisit.service.domain import limits
 from revisit.service.domain.identity import SessionKey, SubmapKey
@@ -49,12 +52,6 @@ def version_key(name: str, field: str = "name") -> tuple[str, int]:
     return of_map, version_number(version, field)
 
 
-def merge_key(name: str, field: str = "name") -> tuple[str, str]:
-    """Map id and merge id of `maps/{map}/merges/{merge}`."""
-    of_map, merge_id = segments(name, "maps/*/merges/*", field)
-    return of_map, merge_id
-
-
 def tile_key(name: str, field: str = "name") -> TileKey:
     """Of `maps/{map}/versions/{version}/tiles/{tile}`."""
     of_map, version, tile = segments(name, "maps/*/versions/*/tiles/*", field)
@@ -87,9 +84,16 @@ def operation_id(name: str) -> str:
     return segments(name, "operations/*", "name")[0]
 
 
-def webhook_id(name: str, field: str = "name") -> str:
-    """Of `webhooks/{webhook}`."""
-    return segments(name, "webhooks/*", field)[0]
+def key_of(name: str, pattern: str, field: str) -> tuple[Any, ...]:
+    """The arguments by which use cases name the resource of a pattern. Raises BadField naming `field`."""
+    ids = segments(name, pattern, field)
+    if pattern in _KEYS:
+        return (_KEYS[pattern](*ids),)
+    return (*ids[:-1], version_number(ids[-1], field)) if pattern in _BY_VERSION else tuple(ids)
+
+
+_KEYS: Mapping[str, type] = {"maps/*/sessions/*": SessionKey, "maps/*/sessions/*/submaps/*": SubmapKey}
+_BY_VERSION = ("maps/*/versions/*", "maps/*/files/*")
 
 
 def session_id_in(map_name: str, name: str, field: str) -> str | None:

@@ -124,8 +124,8 @@ async def test_a_row_that_allows_no_scope_stops_the_start(monkeypatch):
 
 
 async def test_a_row_that_no_function_answers_stops_the_start(monkeypatch):
-    monkeypatch.delattr(catalogue, "get_map")
-    with pytest.raises(RuntimeError, match="no function get_map answers"):
+    monkeypatch.delattr(catalogue, "create_map")
+    with pytest.raises(RuntimeError, match="no function create_map answers"):
         grpc_server.create_server(memory_world().use_cases)
 
 
