@@ -1,6 +1,6 @@
 """Write or check the committed generated files: `generated_files.py write|check [NAME ...]`, all of them by default.
 
-proto        revisit/v1/*_pb2*         out of proto/revisit/v1
+proto        revisit/{v1,internal/v1}/*_pb2*   out of proto/revisit
 parameters   docs/reference/parameters.md   out of core/config.py
 openapi      docs/reference/openapi.json    out of service.rest, and service/web/docs.html out of it
 references   docs/reference/{errors,settings,cli,rest-and-grpc,sdk}.md   out of the code they describe
@@ -26,7 +26,8 @@ sys.path.insert(0, str(ROOT))
 
 def write_stubs(out: Path) -> None:
     """Write the Python stubs of the protocol under `out`."""
-    (out / "revisit/v1").mkdir(parents=True, exist_ok=True)
+    for package in ("revisit/v1", "revisit/internal/v1"):
+        (out / package).mkdir(parents=True, exist_ok=True)
     runpy.run_path(str(ROOT / "proto/generate.py"))["generate"](out)
 
 

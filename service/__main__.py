@@ -99,12 +99,25 @@ def _run(options: argparse.Namespace, settings: Settings) -> int:
     choose_cache(settings.home)
     if options.command == "worker":
         _tell_start("worker")
+    if options.command == "search":
+        return _search(settings)
     from revisit.service.composition import run_worker, worker_seen
 
     if options.command == "seen":
         return 0 if worker_seen(settings, options.id) else _refuse(f"worker {options.id} has not shown itself lately")
     run_worker(settings, options.id, options.parent)
     return 0
+
+
+def _search(settings: Settings) -> int:
+    """Run a search process; the exit status."""
+    from revisit.service.composition import run_search
+
+    _tell_start("search")
+    try:
+        return run_search(settings)
+    except (OSError, ValueError) as error:
+        return _refuse(str(error))
 
 
 def _tell_start(command: str) -> None:
@@ -174,6 +187,7 @@ def _parser() -> argparse.ArgumentParser:
     commands = parser.add_subparsers(dest="command", required=True)
     commands.add_parser("unit", help="print the unit file for systemd")
     commands.add_parser("serve", help="run the gateway (REST and gRPC) and its workers")
+    commands.add_parser("search", help="run a search process, which holds the indices of maps for all others")
     worker = commands.add_parser("worker", help="run one more worker on this machine")
     worker.add_argument("--id", help="name of the worker; one is made up by default")
     worker.add_argument("--parent", type=int, help="end with the process of this id")

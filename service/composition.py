@@ -10,7 +10,7 @@ import os
 import secrets
 import signal
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, cast
 
@@ -38,6 +38,7 @@ from revisit.service.engines.local.sqlite.checkpoints import Checkpoints
 from revisit.service.engines.local.sqlite.connections import write_ahead_log
 from revisit.service.engines.local.sqlite.transactions import SqliteTransactions, StorageFailures
 from revisit.service.engines.local.vector_index import SAVED_FROM, PlaceVectorIndex
+from revisit.service.features.index.caught_up_index import CaughtUpIndex
 from revisit.service.features.recognition.reembedding import Reembedding
 from revisit.service.features.upkeep.calls import WORKER_SEEN_WITHIN_MS
 from revisit.service.features.upkeep.chores import Chore
@@ -45,8 +46,10 @@ from revisit.service.features.upkeep.retention import forget_answers, forget_eve
 from revisit.service.features.upkeep.sweeping import collect, sweep
 from revisit.service.features.webhooks.deliveries import Deliveries
 from revisit.service.large_blocks import SPARE_BYTES, return_large_blocks, share_one_heap
+from revisit.service.ports.place_search import SearchElsewhere
 from revisit.service.ports.recogniser import PlaceRecogniser
 from revisit.service.ports.tracing import NoTracer, Tracer
+from revisit.service.ports.transactions import Transactions
 from revisit.service.settings import Settings
 from revisit.service.use_cases import UseCases
 from revisit.service.worker.confinement import confine
@@ -113,7 +116,20 @@ def build_context(settings: Settings, *, gateway: bool, fail_stop: FailStop | No
         pace=pace,
         disk=disk,
         secret=page_secret(settings),
+        elsewhere=_search_elsewhere(settings, transactions),
     )
+
+
+def _search_elsewhere(
+    settings: Settings, transactions: Transactions
+) -> Callable[[CaughtUpIndex], SearchElsewhere] | None:
+    """The search in processes of the same secret, where there is one."""
+    secret = settings.secret
+    if secret is None:
+        return None
+    from revisit.service.search.client import RemotePlaceSearch  # needs gRPC, which workers of one machine do not load
+
+    return lambda own: RemotePlaceSearch(transactions, secret.get_secret_value().encode(), own)
 
 
 def page_secret(settings: Settings) -> bytes:
@@ -259,6 +275,24 @@ def run_worker(settings: Settings, worker_id: str | None, parent_pid: int | None
         worker.run()
     finally:
         tracer.close()
+        context.transactions.close()
+
+
+def run_search(settings: Settings) -> int:
+    """Run a search process until SIGTERM or SIGINT; the exit status. Raises ValueError without a secret, OSError."""
+    if settings.secret is None:
+        raise ValueError("a search process answers those of the same REVISIT_SECRET: set it, everywhere the same")
+    from revisit.service.search.process import HeldIndex, SearchService
+
+    stopping = threading.Event()
+    for number in STOP_SIGNALS:
+        signal.signal(number, lambda *_: stopping.set())
+    context = build_context(settings, gateway=False)
+    try:
+        held = HeldIndex(context.storage, context.index, context.own_index)
+        service = SearchService(held, settings.secret.get_secret_value().encode(), settings.host, settings.grpc_port)
+        return service.run(stopping)
+    finally:
         context.transactions.close()
 
 

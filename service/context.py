@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import secrets
 import threading
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -39,7 +40,7 @@ from revisit.service.ports.job_context import JobContext
 from revisit.service.ports.map_merger import MapMerger
 from revisit.service.ports.map_optimiser import MapOptimiser
 from revisit.service.ports.map_tiles import TileMaker
-from revisit.service.ports.place_search import PlaceSearch
+from revisit.service.ports.place_search import SearchElsewhere
 from revisit.service.ports.recogniser import PlaceRecogniser
 from revisit.service.ports.storage import Storage
 from revisit.service.ports.transactions import Transactions
@@ -60,8 +61,8 @@ class ServiceContext:
     disk: DiskSpace = field(default_factory=UnlimitedDisk)
     index_health: IndexHealth = field(default_factory=IndexHealth)
     budget: ByteBudget = field(default_factory=ByteBudget)
-    search: PlaceSearch | None = None
-    """Where the index of a map is searched; None for in this process."""
+    elsewhere: Callable[[CaughtUpIndex], SearchElsewhere] | None = None
+    """Makes the search in other processes, as long as there are any; None for in this process alone."""
     secret: bytes = field(default_factory=lambda: secrets.token_bytes(32))
     """Known to nobody else: makes the tokens of pages unreadable."""
     decoder: CloudDecoder = field(default_factory=lambda: CloudDecoder(DECODERS))
@@ -74,7 +75,12 @@ class ServiceContext:
     @cached_property
     def memory(self) -> PlaceMemory:
         """Searches in the index."""
-        return PlaceMemory(self.transactions, self.search or self.own_index)
+        return PlaceMemory(self.transactions, self.search_elsewhere or self.own_index)
+
+    @cached_property
+    def search_elsewhere(self) -> SearchElsewhere | None:
+        """The search in other processes, where there may be any."""
+        return None if self.elsewhere is None else self.elsewhere(self.own_index)
 
     @cached_property
     def own_index(self) -> CaughtUpIndex:
@@ -123,4 +129,9 @@ class ServiceContext:
         """The loader of the index, which also compares it with the database. From now on the service is not ready until
         then.
         """
-        return IndexKeeper(self.storage, self.index, self.own_index, self.index_health, self.disk)
+        search = self.search_elsewhere
+
+        def holds(_: int) -> bool:
+            return search is None or not search.anywhere()
+
+        return IndexKeeper(self.storage, self.index, self.own_index, self.index_health, self.disk, holds)

@@ -53,3 +53,11 @@ class PlaceSearch(Protocol):
         `version`: that of the store before the snapshot. Raises BadField.
         """
         ...
+
+
+class SearchElsewhere(PlaceSearch, Protocol):
+    """A search that other processes answer."""
+
+    def anywhere(self) -> bool:
+        """Whether there are, or were, such processes, so that this one needs no index. Blocks."""
+        ...

@@ -32,6 +32,7 @@ from revisit.service.ports.repositories import (
     ScanRepository,
     SubmapRepository,
 )
+from revisit.service.ports.search_processes import SearchProcessLog
 
 T = TypeVar("T")
 
@@ -155,6 +156,11 @@ class UnitOfWork(Protocol):
     @property
     def workers(self) -> WorkerLog:
         """The living workers."""
+        ...
+
+    @property
+    def search_processes(self) -> SearchProcessLog:
+        """The living search processes."""
         ...
 
     @property

@@ -476,6 +476,16 @@ workers = Table(
     Column("seen_ms", BigInteger, nullable=False),
 )
 
+search_processes = Table(
+    "search_processes",
+    metadata,
+    Column("process_id", String(64), primary_key=True),
+    Column("address", String(255), nullable=False),
+    Column("ready", Boolean, nullable=False),
+    Column("busy", JSON, nullable=False),
+    Column("seen_ms", BigInteger, nullable=False),
+)
+
 tenant_turns = Table(
     "tenant_turns",
     metadata,

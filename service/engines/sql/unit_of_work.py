@@ -45,6 +45,7 @@ from revisit.service.engines.sql.event_log import SqlEventLog
 from revisit.service.engines.sql.jobs import SqlJobs
 from revisit.service.engines.sql.loops import SqlLoops
 from revisit.service.engines.sql.repositories import SqlRepository, SqlScans, SqlSubmaps
+from revisit.service.engines.sql.search_processes import SqlSearchProcesses
 from revisit.service.engines.sql.turns import SqlTenantTurns
 from revisit.service.engines.sql.worker_log import SqlWorkerLog
 from revisit.service.ports.clock import Clock
@@ -159,6 +160,11 @@ class SqlUnitOfWork:
     def workers(self) -> SqlWorkerLog:
         """The living workers."""
         return SqlWorkerLog(self.connection, self.clock)
+
+    @cached_property
+    def search_processes(self) -> SqlSearchProcesses:
+        """The living search processes."""
+        return SqlSearchProcesses(self.connection, self.engine)
 
     @cached_property
     def keys(self) -> SqlKeyRing:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import time
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
@@ -45,17 +46,24 @@ class IndexKeeper:
     """Loads the index of every map once, then compares it with the database, a window at a time."""
 
     def __init__(
-        self, storage: Storage, index: VectorIndex, caught_up: CaughtUpIndex, health: IndexHealth, disk: DiskSpace
+        self,
+        storage: Storage,
+        index: VectorIndex,
+        caught_up: CaughtUpIndex,
+        health: IndexHealth,
+        disk: DiskSpace,
+        holds: Callable[[int], bool] = lambda _: True,
     ) -> None:
         """`caught_up` brings `index` up to date. From now on the service is not ready, until `load` is done.
 
-        No file is written where `disk` is full.
+        No file is written where `disk` is full. Only maps are kept, by number, that this process `holds`.
         """
         self._storage = storage
         self._index = index
         self._caught_up = caught_up
         self._health = health
         self._disk = disk
+        self._holds = holds
         self._last_map = 0
         self._last_submap: dict[int, int] = {}
         health.loading = True
@@ -66,7 +74,7 @@ class IndexKeeper:
             return
         began_s = time.perf_counter()
         maps = await self._storage.read(lambda uow: uow.maps.of_all_tenants())
-        for record in maps:
+        for record in filter(self._is_held, maps):
             await asyncio.to_thread(self._caught_up.catch_up, record.tenant, record.number)
         await self._keep_named_files()
         self._health.loading = False
@@ -115,14 +123,14 @@ class IndexKeeper:
 
     async def audit(self) -> int:
         """Compare the next maps, until a window of descriptors is done; how many submaps differed and were mended."""
-        return 0 if self._health.loading else await asyncio.to_thread(self._audit)
+        return 0 if self._health.loading else await asyncio.to_thread(self.audit_here)
 
-    def _audit(self) -> int:
-        """One turn, in a thread of its own from beginning to end."""
+    def audit_here(self) -> int:
+        """One turn of `audit`, which blocks its thread from beginning to end."""
         read_here = self._storage.transactions.read_here
         maps = read_here(lambda uow: uow.maps.of_all_tenants(after=self._last_map, limit=MAPS))
         drift = compared = 0
-        for record in maps:
+        for record in filter(self._is_held, maps):
             found, looked_at = self._audit_map(record)
             drift, compared = drift + found, compared + looked_at
             if record.number in self._last_submap:
@@ -133,6 +141,9 @@ class IndexKeeper:
         if len(maps) < MAPS:
             self._last_map = 0
         return drift
+
+    def _is_held(self, record: MapRecord) -> bool:
+        return self._holds(record.number)
 
     def _audit_map(self, record: MapRecord) -> tuple[int, int]:
         """The next window of a map's submaps; how many differed, how many were compared."""

@@ -11,6 +11,7 @@ from typing import Any, Generic, TypeVar
 from revisit.service.domain.errors import AlreadyExists, NotFound
 from revisit.service.domain.events import ChangeOf, EventRecord
 from revisit.service.domain.identity import TenantId
+from revisit.service.domain.placement import SearchProcess
 from revisit.service.domain.records import (
     DeletionRecord,
     JobRecord,
@@ -447,6 +448,33 @@ class MemoryWorkerLog:
     def forget(self, worker_id: str) -> None:
         """See `WorkerLog`."""
         kept = {number: row for number, row in self._rows.by_number.items() if row.worker_id != worker_id}
+        self._rows.by_number.clear()
+        self._rows.by_number.update(kept)
+
+
+class MemorySearchProcesses:
+    """`SearchProcessLog`."""
+
+    def __init__(self, rows: Rows, clock: Clock) -> None:
+        """Processes with the moment at which they were seen, by their place in `rows`."""
+        self._rows = rows
+        self._clock = clock
+
+    def announce(self, process: SearchProcess) -> None:
+        """See `SearchProcessLog`."""
+        self.forget(process.process_id)
+        self._rows.last += 1
+        self._rows.by_number[self._rows.last] = (process, self._clock.instant().ms)
+
+    def alive(self, within_ms: int) -> list[SearchProcess]:
+        """See `SearchProcessLog`."""
+        since_ms = self._clock.instant().ms - within_ms
+        seen = [process for process, seen_ms in self._rows.by_number.values() if seen_ms >= since_ms]
+        return sorted(seen, key=lambda process: process.process_id)
+
+    def forget(self, process_id: str) -> None:
+        """See `SearchProcessLog`."""
+        kept = {number: row for number, row in self._rows.by_number.items() if row[0].process_id != process_id}
         self._rows.by_number.clear()
         self._rows.by_number.update(kept)
 

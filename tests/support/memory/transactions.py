@@ -38,6 +38,7 @@ from tests.support.memory.repositories import (
     MemoryLoops,
     MemoryRepository,
     MemoryScans,
+    MemorySearchProcesses,
     MemorySubmaps,
     MemoryTenantTurns,
     MemoryWorkerLog,
@@ -53,6 +54,7 @@ _TABLES = (
     "deletions",
     "unreferenced_blobs",
     *("jobs", "turns", "changes", "events", "webhooks", "webhook_deliveries", "workers", "keys", "audit"),
+    "search_processes",
 )
 
 
@@ -97,6 +99,7 @@ class MemoryUnitOfWork:
         self.blobs = MemoryBlobRows(tables["unreferenced_blobs"], tables, clock)
         self.changes = MemoryChangeLog(tables["changes"], tables["submaps"])
         self.workers = MemoryWorkerLog(tables["workers"], clock)
+        self.search_processes = MemorySearchProcesses(tables["search_processes"], clock)
         self.keys = MemoryKeyRing(tables["keys"].by_number)
         self.audit = MemoryAuditTrail(tables["audit"].by_number)
 

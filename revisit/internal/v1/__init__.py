@@ -1,0 +1,1 @@
+"""Its messages and services of version 1."""

@@ -1,0 +1,1 @@
+"""Search processes: they hold the indices of maps, and gateways and workers ask them."""
