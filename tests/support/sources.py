@@ -23,7 +23,9 @@ class Module:
 def modules(*packages: str) -> tuple[Module, ...]:
     """Every module of these folders; stubs that protoc wrote are not ours."""
     paths = sorted(path for package in packages for path in (ROOT / package).rglob("*.py"))
-    found = [path for path in paths if "revisit/v1" not in path.as_posix()]
+    found = [
+        path for path in paths if "revisit/v1" not in path.as_posix() and "revisit/internal" not in path.as_posix()
+    ]
     if not found:
         raise LookupError(f"there is no module in {packages}")
     return tuple(_module(path) for path in found)
