@@ -20,7 +20,9 @@ CONFIGURATION = 78
 """Exit status for settings that cannot be used (EX_CONFIG)."""
 
 TAKEN = 75
-"""Exit status where another gateway serves the data folder (EX_TEMPFAIL): it may have gone a moment later."""
+"""Exit status where another gateway serves the data folder, or the store of blobs does not answer (EX_TEMPFAIL): a
+moment later it may.
+"""
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -60,6 +62,7 @@ def main(arguments: list[str] | None = None) -> int:
 
 def _started(options: argparse.Namespace, settings: Settings) -> int:
     """Run the command; unusable input is refused in a line."""
+    from revisit.core.errors import MissingLibrary
     from revisit.service.engines.local.files.filesystem import RemoteFileSystem
     from revisit.service.engines.schema import ForeignSchema
 
@@ -67,7 +70,7 @@ def _started(options: argparse.Namespace, settings: Settings) -> int:
         return _run(options, settings)
     except ForeignSchema as error:
         return _refuse(f"the database {settings.database} does not fit this version: {error}")
-    except RemoteFileSystem as error:
+    except (RemoteFileSystem, MissingLibrary) as error:
         return _refuse(str(error))
 
 
@@ -144,6 +147,7 @@ def _serve(settings: Settings) -> int:
     _tell_start("serve")
     from revisit.service.compiled_kernels import choose_cache
     from revisit.service.engines.local.files.home_lock import HomeTaken, sole_gateway
+    from revisit.service.engines.stored_blobs import BlobStoreUnusable
 
     try:
         # Before numba is imported: the gateway has kernels, too.
@@ -155,6 +159,9 @@ def _serve(settings: Settings) -> int:
     except HomeTaken as error:
         print(error, file=sys.stderr)
         return TAKEN
+    except BlobStoreUnusable as error:
+        print(error, file=sys.stderr)
+        return CONFIGURATION if error.for_good else TAKEN
     except (OSError, ValueError) as error:
         if isinstance(error, OSError) and error.filename is not None:
             return _refuse(f"cannot use {error.filename}: {error.strerror}; REVISIT_HOME names the data folder")

@@ -11,12 +11,13 @@ import secrets
 import signal
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from typing import TYPE_CHECKING, cast
 
 import structlog
 
 from revisit.core.config import Profile
+from revisit.core.errors import MissingLibrary
 from revisit.service import VERSION
 from revisit.service.access_rules import access_rules
 from revisit.service.adapters.core_map_merger import CoreMapMerger
@@ -34,11 +35,13 @@ from revisit.service.engines.local.files.file_drafts import FileDrafts
 from revisit.service.engines.local.files.filesystem import require_local
 from revisit.service.engines.local.files.index_files import IndexFiles
 from revisit.service.engines.local.files.secret_files import SECRET_BYTES, kept_secret
+from revisit.service.engines.local.sqlite.blob_rows import newest_clouds
 from revisit.service.engines.local.sqlite.checkpoints import Checkpoints
-from revisit.service.engines.local.sqlite.connections import write_ahead_log
+from revisit.service.engines.local.sqlite.connections import open_to_read, write_ahead_log
 from revisit.service.engines.local.sqlite.transactions import SqliteTransactions, StorageFailures
 from revisit.service.engines.local.vector_index import SAVED_FROM, PlaceVectorIndex
 from revisit.service.features.index.caught_up_index import CaughtUpIndex
+from revisit.service.engines.stored_blobs import BlobStoreUnusable
 from revisit.service.features.recognition.reembedding import Reembedding
 from revisit.service.features.upkeep.calls import WORKER_SEEN_WITHIN_MS
 from revisit.service.features.upkeep.chores import Chore
@@ -47,6 +50,7 @@ from revisit.service.features.upkeep.sweeping import collect, sweep
 from revisit.service.features.webhooks.deliveries import Deliveries
 from revisit.service.large_blocks import SPARE_BYTES, return_large_blocks, share_one_heap
 from revisit.service.ports.place_search import SearchElsewhere
+from revisit.service.ports.blobs import BlobOutage, BlobStore, NoOutage
 from revisit.service.ports.recogniser import PlaceRecogniser
 from revisit.service.ports.tracing import NoTracer, Tracer
 from revisit.service.ports.transactions import Transactions
@@ -60,6 +64,7 @@ from revisit.service.worker.loop import Worker, WorkerLimits
 
 if TYPE_CHECKING:
     from revisit.core.index import PlaceIndex
+    from revisit.service.engines.s3.blobs import S3BlobStore
 
 TEND_DISK_EVERY_S = 0.5
 FOLD_LOG_BACK_EVERY_S = 1.0
@@ -81,6 +86,9 @@ DRAFTS = "reembedding"
 
 INDEX_FILES = "index"
 """The folder in the data folder of the files of large maps' indexes."""
+
+NEWEST_CLOUDS = 5
+"""Clouds of scans, and of submaps, that a start looks for in a bucket."""
 
 STOP_SIGNALS = (signal.SIGTERM, signal.SIGINT)
 
@@ -104,9 +112,11 @@ def build_context(settings: Settings, *, gateway: bool, fail_stop: FailStop | No
         fail_stop=switch,
         on_full=disk.release,
     )
+    blobs, outage = build_blobs(settings, fail_stop=switch, on_full=disk.release)
     return ServiceContext(
         transactions=transactions,
-        blobs=FileBlobStore(settings.blobs, fail_stop=switch, on_full=disk.release),
+        blobs=blobs,
+        blob_outage=outage,
         index=PlaceVectorIndex(
             _new_index, IndexFiles(settings.home / INDEX_FILES), saved_from=SAVED_FROM if gateway else None
         ),
@@ -130,6 +140,42 @@ def _search_elsewhere(
     from revisit.service.search.client import RemotePlaceSearch  # needs gRPC, which workers of one machine do not load
 
     return lambda own: RemotePlaceSearch(transactions, secret.get_secret_value().encode(), own)
+
+
+def build_blobs(
+    settings: Settings, *, fail_stop: FailStop | None = None, on_full: Callable[[], None] = lambda: None
+) -> tuple[BlobStore, BlobOutage]:
+    """The store of the blobs. Raises MissingLibrary. `fail_stop` and `on_full` are for one in this machine's files."""
+    if not settings.blob_url:
+        return FileBlobStore(settings.blobs, fail_stop=fail_stop, on_full=on_full), NoOutage()
+    store = bucket(settings)
+    return store, store
+
+
+def bucket(settings: Settings) -> S3BlobStore:
+    """The bucket of `blob_url`. Raises MissingLibrary."""
+    try:
+        from revisit.service.engines.s3.blobs import S3BlobStore  # the extra `cluster`
+    except ImportError as error:
+        raise MissingLibrary("REVISIT_BLOB_URL needs obstore: install revisit-loops[cluster]") from error
+    return S3BlobStore(settings.blob_url)
+
+
+def require_bucket(settings: Settings) -> None:
+    """Try the bucket of `blob_url` out, where there is one. Raises BlobStoreUnusable, MissingLibrary.
+
+    It must hold the clouds that the newest rows name: another bucket would make every submap a damaged one.
+    """
+    if not settings.blob_url:
+        return
+    store = bucket(settings)
+    if store.try_out():
+        log.warning("bucket_keeps_versions", hint="a lifecycle rule must delete noncurrent versions")
+    with closing(open_to_read(settings.database)) as rows:
+        newest = newest_clouds(rows, NEWEST_CLOUDS)
+    if newest and not any(store.exists(blob.tenant, blob.kind, blob.sha256) for blob in newest):
+        reason = f"it holds none of the {len(newest)} newest clouds of {settings.home}: is it the right one?"
+        raise BlobStoreUnusable(settings.blob_url, reason, for_good=True)
 
 
 def page_secret(settings: Settings) -> bytes:

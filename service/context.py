@@ -32,7 +32,7 @@ from revisit.service.features.recognition.loop_recall_job import LoopRecallJob
 from revisit.service.features.recognition.proposed_loop_job import ProposedLoopJob
 from revisit.service.features.search.job import CloudQueryJob
 from revisit.service.features.tiles.job import TileMaking
-from revisit.service.ports.blobs import BlobStore
+from revisit.service.ports.blobs import BlobOutage, BlobStore, NoOutage
 from revisit.service.ports.clock import Clock
 from revisit.service.ports.disk import DiskSpace, UnlimitedDisk
 from revisit.service.ports.index import VectorIndex
@@ -59,6 +59,7 @@ class ServiceContext:
     in_flight: InFlight = field(default_factory=InFlight)
     pace: CallPace = field(default_factory=CallPace)
     disk: DiskSpace = field(default_factory=UnlimitedDisk)
+    blob_outage: BlobOutage = field(default_factory=NoOutage)
     index_health: IndexHealth = field(default_factory=IndexHealth)
     budget: ByteBudget = field(default_factory=ByteBudget)
     elsewhere: Callable[[CaughtUpIndex], SearchElsewhere] | None = None

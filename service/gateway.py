@@ -17,7 +17,7 @@ import uvicorn
 from prometheus_client import ProcessCollector
 
 from revisit.service import VERSION
-from revisit.service.composition import build_context, build_tracer, build_use_cases, chores
+from revisit.service.composition import build_context, build_tracer, build_use_cases, chores, require_bucket
 from revisit.service.context import ServiceContext
 from revisit.service.engines.local.files.disk import FailStop
 from revisit.service.engines.local.sqlite.migration import migrate
@@ -52,6 +52,7 @@ log = structlog.get_logger(__name__)
 def serve(settings: Settings) -> int:
     """Run the gateway and its workers until SIGTERM or SIGINT; the exit status."""
     migrate(settings.database)
+    require_bucket(settings)
     sys.setswitchinterval(SWITCH_S)
     open_files = allow_open_files()
     return_large_blocks()

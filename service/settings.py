@@ -26,7 +26,7 @@ GROUPS: Mapping[str, tuple[str, ...]] = {
         "webhook_private_networks",
     ),
     "Resources and limits": (
-        "home", "workers", "worker_memory_mb", "job_timeout_s", "max_queued_jobs", "tenant_storage_mb",
+        "home", "blob_url", "workers", "worker_memory_mb", "job_timeout_s", "max_queued_jobs", "tenant_storage_mb",
         "client_points_per_s", "streams_per_client", "reserve_mb",
     ),
     "Maps and loops": ("tau_m", "stride_m", "optimise_after_loops"),
@@ -94,6 +94,11 @@ class Settings(AccessSettings):
     """How this installation runs. Field `http_port` is the variable REVISIT_HTTP_PORT, and so on."""
 
     home: Path = Field(default=Path("data"), description="directory of the database and the blobs")
+    blob_url: str = Field(
+        default="",
+        pattern=r"^(s3://[^/\s?#]+(/[^\s?#]*)?)?$",
+        description="where blobs are stored: s3://bucket/prefix, with the usual AWS_* variables; in `home` by default",
+    )
     http_port: int = Field(default=8080, ge=0, le=65535, description="REST port; 0 takes a free one")
     grpc_port: int = Field(default=8090, ge=0, le=65535, description="gRPC port; 0 takes a free one")
     metrics_port: int | None = Field(

@@ -108,7 +108,7 @@ class UseCases:
             corrections=Corrections(context, tail),
             loop_decisions=LoopDecisions(context),
             dead_letters=DeadLetters(context, of.backlog),
-            system=System(context, of.disk, of.index_health, version),
+            system=System(context, of.disk, of.blob_outage, of.index_health, version),
             admission=admission,
             access=Access(of.storage, audit, of.clock, rules, of.pace),
             keys=ApiKeys(of.storage, of.clock),

@@ -124,3 +124,22 @@ class BlobStore(Protocol):
     def quarantined(self) -> int:
         """How many damaged blobs were found and put aside; nothing of them is served."""
         ...
+
+
+class BlobOutage(Protocol):
+    """Whether the store of blobs answers, for those who would begin work that needs it."""
+
+    def unreachable(self) -> str:
+        """Why the last call of the store failed, in words of its operator; empty where it did not. Blocks.
+
+        Looks whether it answers again, at most once a second.
+        """
+        ...
+
+
+class NoOutage:
+    """`BlobOutage` of a store in this machine: its failures end the process, or are those of the disk."""
+
+    def unreachable(self) -> str:
+        """See `BlobOutage`."""
+        return ""

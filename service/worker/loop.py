@@ -50,7 +50,7 @@ class Worker:
         tracer: Tracer = NoTracer(),
     ) -> None:
         """`jobs` runs leased jobs."""
-        self._claims = JobClaims(context.transactions, context.disk, identity.worker_id)
+        self._claims = JobClaims(context.transactions, context.disk, context.blob_outage, identity.worker_id)
         self._jobs = jobs
         self._identity = identity
         self._stopping = stopping

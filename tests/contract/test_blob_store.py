@@ -9,14 +9,23 @@ import pytest
 from revisit.core.errors import DataLoss
 from revisit.service.domain.identity import TenantId
 from revisit.service.engines.local.files.blobs import FileBlobStore
+from revisit.service.engines.s3.blobs import S3BlobStore
 from tests.support.memory.blobs import MemoryBlobStore
+from tests.support.s3 import moto, nanio, variables
 
 TENANT, OTHER = TenantId("default"), TenantId("other")
 
 
-@pytest.fixture(params=["memory", "files"])
-def blobs(request, tmp_path):
-    return MemoryBlobStore() if request.param == "memory" else FileBlobStore(tmp_path / "blobs")
+@pytest.fixture(params=["memory", "files", "moto", "nanio"])
+def blobs(request, tmp_path, monkeypatch):
+    if request.param == "memory":
+        return MemoryBlobStore()
+    if request.param == "files":
+        return FileBlobStore(tmp_path / "blobs")
+    server = moto() if request.param == "moto" else nanio()
+    for name, value in variables(server.address).items():
+        monkeypatch.setenv(name, value)
+    return S3BlobStore(f"s3://{server.new_bucket()}/fleet/blobs")
 
 
 def test_a_blob_is_named_by_its_content_and_read_back(blobs):
@@ -43,6 +52,12 @@ def test_a_deleted_blob_is_gone_and_deleting_it_again_is_nothing(blobs):
     blobs.delete(TENANT, "cloud", name)
     blobs.delete(TENANT, "cloud", name)
     assert not blobs.exists(TENANT, "cloud", name)
+
+
+def test_all_blobs_of_all_tenants_are_listed_once_they_are_old_enough(blobs):
+    kept = {(TENANT, "cloud", blobs.put(TENANT, "cloud", b"points")), (OTHER, "mesh", blobs.put(OTHER, "mesh", b"m"))}
+    blobs.delete(OTHER, "mesh", blobs.put(OTHER, "mesh", b"forgotten"))
+    assert {(one.tenant, one.kind, one.sha256) for one in blobs.stored(0.0)} == kept
 
 
 @pytest.mark.parametrize("damage", [lambda data: data[:-1], lambda data: b"P" + data[1:], lambda data: b""])

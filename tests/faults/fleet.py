@@ -10,6 +10,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from revisit import Client
+from revisit.service.ports.blobs import BlobStore
 from tests.faults.history import History, Kind, Outcome
 from tests.faults.proxy import BadLink, bad_link
 from tests.faults.robots import EXPECTED, Crew, Poster, Scanner
@@ -99,10 +100,10 @@ class Fleet:
         """How many submaps and scans were."""
         return len(self.history.acknowledged(Kind.PUT))
 
-    def require_kept(self, home: Path) -> Survey:
+    def require_kept(self, home: Path, blobs: BlobStore | None = None) -> Survey:
         """End the service. All that was acknowledged is in `home`, once, no answer was a surprise: what is there."""
         self.service.close()
-        found, clients = survey(home), (*(robot.poster for robot in self.robots), self.scanner)
+        found, clients = survey(home, blobs=blobs), (*(robot.poster for robot in self.robots), self.scanner)
         wrong = found.against(self.history) + [problem for client in clients for problem in client.surprises]
         assert not wrong, wrong
         assert found.committed["monday"] >= self.scanner.committed_seq, found.committed

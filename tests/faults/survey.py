@@ -47,10 +47,13 @@ class Survey:
         return self.problems + violations(history.operations, self.rows)
 
 
-def survey(home: Path, tenant: TenantId = TENANT) -> Survey:
-    """Open the store with the product's own adapters, as the one writer would, and look at everything in it."""
+def survey(home: Path, tenant: TenantId = TENANT, blobs: BlobStore | None = None) -> Survey:
+    """Open the store with the product's own adapters, as the one writer would, and look at everything in it.
+
+    `blobs` are those beside the database, by default the files in `home`.
+    """
     engine = _engine(home / "revisit.db")
-    blobs = FileBlobStore(home / "blobs")
+    blobs = blobs or FileBlobStore(home / "blobs")
     try:
         with engine.begin() as connection:
             clock = SystemClock()

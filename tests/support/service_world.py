@@ -25,6 +25,7 @@ from revisit.service.features.catalogue.sessions import CreateSession
 from revisit.service.features.ingest.calls import AppendScan
 from revisit.service.features.ingest.posting import PostSubmap
 from revisit.service.features.operations.job_runner import JobRunner
+from revisit.service.ports.blobs import BlobStore
 from revisit.service.ports.disk import DiskSpace, UnlimitedDisk
 from revisit.service.ports.map_merger import MapMerger
 from revisit.service.ports.map_optimiser import MapOptimiser
@@ -104,13 +105,17 @@ def memory_world(clock: SteppedClock | None = None, **overrides) -> World:
 
 
 def sqlite_world(
-    home: Path, disk: DiskSpace = UnlimitedDisk(), clock: SteppedClock | None = None, **overrides
+    home: Path,
+    disk: DiskSpace = UnlimitedDisk(),
+    clock: SteppedClock | None = None,
+    blobs: BlobStore | None = None,
+    **overrides,
 ) -> World:
-    """The service over SQLite and files in `home`; close its transactions at the end."""
+    """The service over SQLite and files in `home`, or other `blobs`; close its transactions at the end."""
     rules, clock = policy(**overrides), clock or SteppedClock()
     database = made_database(home / "revisit.db")
     transactions = SqliteTransactions(database, checkpoints=True, lease_ms=rules.lease_ms, clock=clock)
-    return replace(_world(transactions, FileBlobStore(home / "blobs"), rules, clock, disk), home=home)
+    return replace(_world(transactions, blobs or FileBlobStore(home / "blobs"), rules, clock, disk), home=home)
 
 
 def _world(transactions, blobs, rules: Policy, clock: SteppedClock, disk: DiskSpace = UnlimitedDisk()) -> World:

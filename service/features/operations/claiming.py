@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from revisit.core.errors import ErrorCode
 from revisit.service.features.operations.dead_letters import mark_subject_failed
+from revisit.service.ports.blobs import BlobOutage
 from revisit.service.ports.disk import DiskSpace
 from revisit.service.ports.job_queue import Lease
 from revisit.service.ports.transactions import Transactions, UnitOfWork
@@ -12,18 +13,19 @@ from revisit.service.ports.transactions import Transactions, UnitOfWork
 class JobClaims:
     """Claims jobs for one worker; tenants take turns."""
 
-    def __init__(self, transactions: Transactions, disk: DiskSpace, owner: str) -> None:
+    def __init__(self, transactions: Transactions, disk: DiskSpace, blobs: BlobOutage, owner: str) -> None:
         """`owner` is the id of the worker."""
         self._transactions = transactions
         self._disk = disk
+        self._blobs = blobs
         self._owner = owner
 
     def next(self) -> Lease | None:
-        """The lease of the next job; None where no job waits, or the disk has no room for a result.
+        """The lease of the next job; None where no job waits, or its result could not be stored.
 
         Reads before it writes, because a write holds up all other writers. Raises Unavailable.
         """
-        if self._disk.exhausted():
+        if self._disk.exhausted() or self._blobs.unreachable():
             return None
         if not self._transactions.read(lambda uow: uow.queue.waits()).result():
             return None

@@ -6,7 +6,6 @@ import errno
 import fcntl
 import hashlib
 import os
-import re
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -27,18 +26,17 @@ from revisit.service.engines.local.files.disk import (
     open_folder,
     sync_directory,
 )
+from revisit.service.engines.stored_blobs import (
+    QUARANTINE,
+    BlobDamaged,
+    key_of,
+    missing,
+    quarantined_name,
+    require_whole,
+)
 from revisit.service.ports.blobs import StoredBlob
 
-QUARANTINE = ".quarantine"
-"""The folder of damaged blobs: nothing in it is served, an operator can look at it."""
-
-_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,63}", re.ASCII)
-
 log = structlog.get_logger(__name__)
-
-
-class BlobDamaged(DataLoss):
-    """The bytes of a blob do not have the hash in its name."""
 
 
 class FileBlobStore:
@@ -117,7 +115,7 @@ class FileBlobStore:
         log.error("blob_damaged", tenant=tenant, kind=kind, sha256=path.name)
         try:
             make_directories(self._root / QUARANTINE, self._root)
-            move_durably(path, self._root / QUARANTINE / f"{tenant}.{kind}.{path.name}")
+            move_durably(path, self._root / QUARANTINE / quarantined_name(StoredBlob(tenant, kind, path.name)))
         except OSError as error:
             log.warning("blob_not_quarantined", sha256=path.name, reason=error.strerror)
 
@@ -136,23 +134,19 @@ class FileBlobStore:
 
 def read_verified(path: Path) -> bytes:
     """A blob's bytes, checked against its file's name. Raises BlobDamaged; DataLoss where they cannot be read."""
-    kind, sha256 = path.parents[1].name, path.name
+    blob = StoredBlob(TenantId(path.parents[2].name), path.parents[1].name, path.name)
     try:
         data = path.read_bytes()
     except FileNotFoundError as error:
-        raise DataLoss(f"the {kind} {sha256[:12]} is missing") from error
+        raise missing(blob) from error
     except OSError as error:
-        raise DataLoss(f"the {kind} {sha256[:12]} cannot be read: {error.strerror}") from error
-    if hashlib.sha256(data).hexdigest() != sha256:
-        raise BlobDamaged(f"the {kind} {sha256[:12]} is damaged")
-    return data
+        raise DataLoss(f"the {blob.kind} {blob.sha256[:12]} cannot be read: {error.strerror}") from error
+    return require_whole(blob, data)
 
 
 def blob_path(root: Path, blob: StoredBlob) -> Path:
     """Where below `root` a blob lies. Raises DataLoss for an address that could lead elsewhere."""
-    if not all(_NAME.fullmatch(part) for part in (blob.tenant, blob.kind, blob.sha256)):
-        raise DataLoss("a blob's address is damaged")
-    return root / blob.tenant / blob.kind / blob.sha256[:2] / blob.sha256
+    return root / key_of(blob)
 
 
 @contextmanager

@@ -10,13 +10,14 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from revisit.core.errors import DataLoss
-from revisit.service.engines.local.files.blobs import QUARANTINE, FileBlobStore, blob_path, read_verified
+from revisit.service.engines.local.files.blobs import FileBlobStore, blob_path, read_verified
 from revisit.service.engines.local.files.filesystem import MOUNTS, RemoteFileSystem, filesystem_type, require_local
 from revisit.service.engines.local.sqlite.blob_rows import named_blobs
 from revisit.service.engines.local.sqlite.connections import DATABASE, open_to_read, write_ahead_log
 from revisit.service.engines.local.sqlite.migration import current_revision
 from revisit.service.engines.local.sqlite.row_checksums import damaged_rows
 from revisit.service.engines.schema import NEWEST_REVISION, known_revisions
+from revisit.service.engines.stored_blobs import QUARANTINE
 from revisit.service.features.upkeep.calls import WAL_ALARM_BYTES
 from revisit.service.ports.blobs import StoredBlob
 
