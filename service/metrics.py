@@ -126,8 +126,11 @@ class StoreMetrics(Collector):
             yield _gauge("revisit_disk_free_bytes", "Room on the disk of the data folder.", {"": free_bytes})
         yield _gauge("revisit_storage_full", "1 while clients' data is refused for want of room.", {"": disk.full()})
         yield _gauge("revisit_wal_bytes", "Size of the database's write-ahead log.", {"": disk.wal_bytes()})
-        damaged = self._context.blobs.quarantined()
-        yield _gauge("revisit_quarantined_blobs", "Damaged blobs that were put aside.", {"": damaged})
+        unreachable = bool(self._context.blob_outage.unreachable())
+        yield _gauge("revisit_blobs_unreachable", "1 while the store of blobs does not answer.", {"": unreachable})
+        with suppress(RevisitError):
+            damaged = self._context.blobs.quarantined()
+            yield _gauge("revisit_quarantined_blobs", "Damaged blobs that were put aside.", {"": damaged})
 
     def _count(self, uow: UnitOfWork) -> dict[str, tuple[str, str, Values]]:
         tables: dict[str, tuple[str, Repository[Any], type[StrEnum]]] = {

@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from revisit.cli.extras import needs
-from revisit.cli.offline import data_folder
+from revisit.cli.offline import bucket_of, data_folder
 from revisit.cli.options import Home, Json
 from revisit.cli.output import emit_json, refuse
 
@@ -22,7 +22,7 @@ def backup(
     from revisit.service import VERSION
     from revisit.service.engines.local.sqlite.backup import make_backup
 
-    manifest = make_backup(data_folder(home), out, VERSION)
+    manifest = make_backup(data_folder(home), out, VERSION, bucket_of(home))
     size_mb = manifest.blob_bytes / 2**20
     text = f"{out}: schema {manifest.revision}, {manifest.blobs} blobs of {size_mb:.1f} MiB"
     _tell(text, asdict(manifest), json)
@@ -49,7 +49,7 @@ def restore(
     if (key is None) != unsigned:
         raise refuse("give the key that signed the backup (--key backup.key), or --unsigned where it is lost")
     target = data_folder(home)
-    manifest = restore_backup(archive, target, None if key is None else read_secret(key))
+    manifest = restore_backup(archive, target, None if key is None else read_secret(key), bucket_of(home))
     _tell(f"{target}: as of {manifest.created_at}, {manifest.blobs} blobs", asdict(manifest), json)
 
 
@@ -58,7 +58,7 @@ def scrub(home: Home = None, json: Json = False) -> None:
     """Read every blob, page and row, move damaged blobs aside; exit status 1 where anything is damaged or missing."""
     from revisit.service.engines.local.sqlite import examination
 
-    found = examination.scrub(data_folder(home))
+    found = examination.scrub(data_folder(home), bucket_of(home))
     _tell(f"{found.checked} blobs read, database {found.database}", asdict(found), json)
     named = {"damaged, moved aside": found.damaged, "missing": found.missing, "not what was written": found.rows}
     _report(named, damaged=found.database != "ok")

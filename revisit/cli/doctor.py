@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from revisit.cli.extras import needs
-from revisit.cli.offline import data_folder
+from revisit.cli.offline import bucket_of, data_folder
 from revisit.cli.options import GRPC, HTTP, Grpc, Home, Http, Json
 from revisit.cli.output import emit_json, emit_table
 from revisit.core.errors import RevisitError
@@ -84,7 +84,7 @@ def _models() -> str:
 def _data(home: Path | None, full: bool) -> list[Finding]:
     from revisit.service.engines.local.sqlite.examination import examine
 
-    return examine(data_folder(home), full=full)
+    return examine(data_folder(home), full=full, bucket=bucket_of(home))
 
 
 def _answer(client: Client) -> str:

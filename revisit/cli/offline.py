@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 from revisit.cli.output import refuse
 
 if TYPE_CHECKING:
+    from revisit.service.engines.stored_blobs import Bucket
     from revisit.service.use_cases import UseCases
 
 
@@ -19,6 +20,15 @@ def data_folder(home: Path | None) -> Path:
     from revisit.service.settings_loading import load_settings
 
     return load_settings(home).home
+
+
+def bucket_of(home: Path | None) -> Bucket | None:
+    """The bucket of the blobs; None where they lie in the data folder."""
+    from revisit.service.composition import bucket
+    from revisit.service.settings_loading import load_settings
+
+    settings = load_settings(home)
+    return bucket(settings) if settings.blob_url else None
 
 
 @contextmanager

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import re
+from typing import Protocol
 
 from revisit.core.errors import DataLoss
 from revisit.service.domain.identity import TenantId
@@ -26,6 +27,39 @@ class BlobStoreUnusable(Exception):
         """`reason` is a line for the operator."""
         super().__init__(f"{url} cannot be used: {reason}")
         self.for_good = for_good
+
+
+class Bucket(Protocol):
+    """A store of blobs outside the data folder, as those see it who look after the data."""
+
+    url: str
+
+    def put(self, tenant: TenantId, kind: str, data: bytes) -> str:
+        """See `BlobStore`."""
+        ...
+
+    def get(self, tenant: TenantId, kind: str, sha256: str) -> bytes:
+        """See `BlobStore`."""
+        ...
+
+    def read(self, blob: StoredBlob) -> bytes:
+        """The bytes of a blob; a damaged one is left alone. Raises DataLoss, StorageUncertain."""
+        ...
+
+    def exists(self, tenant: TenantId, kind: str, sha256: str) -> bool:
+        """See `BlobStore`."""
+        ...
+
+    def quarantined(self) -> int:
+        """See `BlobStore`."""
+        ...
+
+    def try_out(self) -> bool:
+        """Store, read, list and delete an object; whether the bucket keeps versions of what is deleted.
+
+        Raises BlobStoreUnusable.
+        """
+        ...
 
 
 def key_of(blob: StoredBlob) -> str:

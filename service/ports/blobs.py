@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 from revisit.service.domain.identity import TenantId
 
@@ -126,13 +126,14 @@ class BlobStore(Protocol):
         ...
 
 
+@runtime_checkable
 class BlobOutage(Protocol):
     """Whether the store of blobs answers, for those who would begin work that needs it."""
 
     def unreachable(self) -> str:
-        """Why the last call of the store failed, in words of its operator; empty where it did not. Blocks.
+        """Why the last call of the store failed, in words of its operator; empty where it did not. Does not wait.
 
-        Looks whether it answers again, at most once a second.
+        The store is asked beside, at most once a second, whether it answers again.
         """
         ...
 

@@ -86,7 +86,12 @@ class Nanio:
         self.start()
 
     def start(self) -> None:
-        """Start it, again after it was killed, and wait until it answers."""
+        """Start it, again after it was killed, and wait until it answers.
+
+        It would refuse an object for good whose half-written file it finds.
+        """
+        for left in self.folder.rglob("*.tmp"):
+            left.unlink()
         quiet = ("--no-access-log", "--log-level", "error")
         where = ("--data-dir", str(self.folder), "--host", "127.0.0.1", "--port", str(self._port))
         environment = {**os.environ, "NANIO_ACCESS_KEY": KEY, "NANIO_SECRET_KEY": SECRET}

@@ -79,8 +79,7 @@ class S3Link:
 def s3_link(target: str, fault: Callable[[Request], Fault] = lambda request: WHOLE) -> Iterator[S3Link]:
     """A link to `target` (host:port) until the block ends."""
     link = S3Link(target, fault)
-    server = ThreadingHTTPServer(("127.0.0.1", 0), lambda *about: _Handler(link, *about))
-    server.daemon_threads = True
+    server = _Server(("127.0.0.1", 0), lambda *about: _Handler(link, *about))
     link.url = f"http://127.0.0.1:{server.server_port}"
     thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.02}, daemon=True)
     thread.start()
@@ -91,6 +90,15 @@ def s3_link(target: str, fault: Callable[[Request], Fault] = lambda request: WHO
         server.shutdown()
         thread.join(PATIENCE_S)
         server.server_close()
+
+
+class _Server(ThreadingHTTPServer):
+    """A client that goes away, or a server that was killed, is no error of the link."""
+
+    daemon_threads = True
+
+    def handle_error(self, request, client_address) -> None:
+        """The connection breaks, which is what the client is told."""
 
 
 class _Handler(BaseHTTPRequestHandler):

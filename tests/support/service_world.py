@@ -25,7 +25,7 @@ from revisit.service.features.catalogue.sessions import CreateSession
 from revisit.service.features.ingest.calls import AppendScan
 from revisit.service.features.ingest.posting import PostSubmap
 from revisit.service.features.operations.job_runner import JobRunner
-from revisit.service.ports.blobs import BlobStore
+from revisit.service.ports.blobs import BlobOutage, BlobStore
 from revisit.service.ports.disk import DiskSpace, UnlimitedDisk
 from revisit.service.ports.map_merger import MapMerger
 from revisit.service.ports.map_optimiser import MapOptimiser
@@ -120,6 +120,8 @@ def sqlite_world(
 
 def _world(transactions, blobs, rules: Policy, clock: SteppedClock, disk: DiskSpace = UnlimitedDisk()) -> World:
     context = ServiceContext(transactions, blobs, MemoryVectorIndex(), clock, rules, threading.Event(), disk=disk)
+    if isinstance(blobs, BlobOutage):
+        context = replace(context, blob_outage=blobs)
     return World(context, UseCases.over(context, "test"), clock)
 
 

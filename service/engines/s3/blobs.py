@@ -136,9 +136,15 @@ class S3BlobStore:
     def unreachable(self) -> str:
         """See `BlobOutage`: whether the bucket takes an object."""
         if self._outage.is_to_be_asked():
+            threading.Thread(target=self._ask_again, name="asks-the-blob-store", daemon=True).start()
+        return self._outage.reason
+
+    def _ask_again(self) -> None:
+        try:
             with suppress(StorageFull, StorageUncertain), self._asked():
                 self._store.put(f"{TRIAL}/again", bytes(4096), use_multipart=False)
-        return self._outage.reason
+        finally:
+            self._outage.was_asked()
 
     def try_out(self) -> bool:
         """Store, read, list and delete an object; whether the bucket keeps versions of what is deleted.
@@ -195,11 +201,12 @@ class _Outage:
         self.reason = ""
         self._url = url
         self._lock = threading.Lock()
-        self._asked_s = 0.0
+        self._asking = False
+        self._failed_s = 0.0
 
     def begins(self, reason: str) -> None:
         with self._lock:
-            first, self.reason, self._asked_s = not self.reason, reason, time.monotonic()
+            first, self.reason, self._failed_s = not self.reason, reason, time.monotonic()
         if first:
             log.error("blob_store_failed", store=self._url, reason=reason)
 
@@ -212,12 +219,14 @@ class _Outage:
             log.info("blob_store_answers_again", store=self._url)
 
     def is_to_be_asked(self) -> bool:
-        """Whether it failed a while ago; from then on the caller asks, and no other one."""
+        """Whether it failed a while ago and nobody asks; from then on the caller does, until `was_asked`."""
         with self._lock:
-            due = bool(self.reason) and time.monotonic() - self._asked_s >= ASK_AGAIN_S
-            if due:
-                self._asked_s = time.monotonic()
+            due = bool(self.reason) and not self._asking and time.monotonic() - self._failed_s >= ASK_AGAIN_S
+            self._asking = self._asking or due
         return due
+
+    def was_asked(self) -> None:
+        self._asking = False
 
 
 def opened(url: str, request_s: float, retries_s: float) -> S3Store:

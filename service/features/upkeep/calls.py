@@ -63,8 +63,6 @@ class System:
         self._context = context
         self._disk = disk
         self._blobs = blobs
-        self._asked_blobs: asyncio.Task[str] | None = None
-        self._blobs_unreachable = False
         self._index = index
         self._version = version
         self._checking: asyncio.Task[Readiness] | None = None
@@ -87,23 +85,14 @@ class System:
             workers = await self._context.storage.read(self._alive)
         except RevisitError as error:
             return Readiness(False, (f"database: {error.message}",))
-        self._ask_blobs()
         return Readiness(True, (), tuple(self._degraded(len(workers))))
-
-    def _ask_blobs(self) -> None:
-        """Ask beside the answer, which tells what was found last: a store that hangs must not hold up a probe."""
-        if self._asked_blobs is not None and not self._asked_blobs.done():
-            return
-        if self._asked_blobs is not None:
-            self._blobs_unreachable = bool(self._asked_blobs.result())
-        self._asked_blobs = asyncio.create_task(asyncio.to_thread(self._blobs.unreachable), name="asked-blobs")
 
     def _degraded(self, workers: int) -> Iterator[str]:
         if not workers:
             yield "no worker lives: what is posted waits, and no query by cloud is answered; the log says why they end"
         if self._disk.full():
             yield "storage full: no new scans or submaps until there is room"
-        if self._blobs_unreachable:
+        if self._blobs.unreachable():
             yield "the store of blobs does not answer: no new scans or submaps, no downloads, and no job is begun"
         wal_bytes = self._disk.wal_bytes()
         if wal_bytes > WAL_ALARM_BYTES:

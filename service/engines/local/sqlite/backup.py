@@ -15,7 +15,7 @@ import json
 import os
 import shutil
 import sqlite3
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
 from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime
@@ -38,6 +38,8 @@ from revisit.service.engines.local.sqlite.connections import DATABASE, open_to_r
 from revisit.service.engines.local.sqlite.migration import current_revision
 from revisit.service.engines.local.sqlite.row_checksums import damaged_rows
 from revisit.service.engines.schema import known_revisions
+from revisit.service.engines.stored_blobs import Bucket
+from revisit.service.ports.blobs import StoredBlob
 
 FORMAT = 2
 """Of a signed manifest. Backups of format 1, which are not signed, are restored where that is asked for."""
@@ -74,8 +76,10 @@ class BackupRefused(DataLoss):
     """The backup is damaged, incomplete, of an unknown format or not signed by this key: nothing was restored."""
 
 
-def make_backup(home: Path, out: Path, version: str) -> Manifest:
+def make_backup(home: Path, out: Path, version: str, bucket: Bucket | None = None) -> Manifest:
     """Back up the data folder `home` into the new folder `out`, signed with the key of `home`; the service may run.
+
+    Blobs come from the `bucket`, where they lie in one; those that are deleted there meanwhile count as lost.
 
     Raises FileExistsError where `out` is there already or another backup into it is under way, FileNotFoundError where
     there is no database, OSError.
@@ -87,14 +91,16 @@ def make_backup(home: Path, out: Path, version: str) -> Manifest:
     with _own_folder(out.with_name(f"{out.name}.partial")) as partial:
         # Somebody may have finished one while this one waited for its turn.
         _require_new(out)
-        manifest = _fill_backup(home, partial, version, revision).signed(own_key(home))
+        manifest = _fill_backup(home, partial, version, revision, bucket).signed(own_key(home))
         durable_write(partial / MANIFEST, json.dumps(asdict(manifest), indent=2).encode())
         _give_name(partial, out)
     return manifest
 
 
-def restore_backup(archive: Path, home: Path, key: bytes | None) -> Manifest:
+def restore_backup(archive: Path, home: Path, key: bytes | None, bucket: Bucket | None = None) -> Manifest:
     """Make the data folder `home`, which must be missing or empty, out of a backup; all of it or nothing.
+
+    Blobs go into the `bucket`, where there is one; the next sweep deletes those of a restore that did not end.
 
     The backup must be signed with `key`, which becomes that of `home`; None takes a backup of any origin.
     Raises BackupRefused, FileExistsError, OSError.
@@ -106,7 +112,7 @@ def restore_backup(archive: Path, home: Path, key: bytes | None) -> Manifest:
     _check_database(archive / DATABASE, manifest)
     with _own_folder(home.with_name(f"{home.name}.restoring")) as partial:
         _require_empty(home)
-        _fill_home(archive, partial, manifest)
+        _fill_home(archive, partial, manifest, bucket)
         if key is not None:
             keep_secret(partial / KEY_FILE, key)
         if home.exists():
@@ -115,13 +121,14 @@ def restore_backup(archive: Path, home: Path, key: bytes | None) -> Manifest:
     return manifest
 
 
-def _fill_backup(home: Path, partial: Path, version: str, revision: str) -> Manifest:
+def _fill_backup(home: Path, partial: Path, version: str, revision: str, bucket: Bucket | None) -> Manifest:
+    read = bucket.read if bucket else _reading(home / BLOBS)
     (home / BLOBS).mkdir(exist_ok=True, mode=0o700)
     with nothing_deleted(home / BLOBS):
         _copy_database(home / DATABASE, partial / DATABASE)
         with closing(open_to_read(partial / DATABASE, at_rest=True)) as rows:
             damaged = tuple(damaged_rows(rows))
-            count, size_bytes, lost = _copy_blobs(rows, home / BLOBS, partial / BLOBS)
+            count, size_bytes, lost = _copy_blobs(rows, read, _writing(partial / BLOBS))
     return Manifest(
         format=FORMAT,
         version=version,
@@ -134,11 +141,12 @@ def _fill_backup(home: Path, partial: Path, version: str, revision: str) -> Mani
     )
 
 
-def _fill_home(archive: Path, partial: Path, manifest: Manifest) -> None:
+def _fill_home(archive: Path, partial: Path, manifest: Manifest, bucket: Bucket | None) -> None:
     """Raises BackupRefused, and leaves nothing, where a blob is not as the manifest says."""
+    write = (lambda blob, data: bucket.put(blob.tenant, blob.kind, data)) if bucket else _writing(partial / BLOBS)
     _copy_file(archive / DATABASE, partial / DATABASE)
     with closing(open_to_read(archive / DATABASE, at_rest=True)) as rows:
-        count, _, lost = _copy_blobs(rows, archive / BLOBS, partial / BLOBS)
+        count, _, lost = _copy_blobs(rows, _reading(archive / BLOBS), write)
     unexpected = sorted(set(lost) - set(manifest.lost))
     if unexpected or count != manifest.blobs:
         shutil.rmtree(partial)
@@ -193,18 +201,31 @@ def _copy_database(database: Path, target: Path) -> None:
         copy.execute("PRAGMA journal_mode=DELETE")
 
 
-def _copy_blobs(rows: sqlite3.Connection, source: Path, target: Path) -> tuple[int, int, tuple[str, ...]]:
+def _reading(folder: Path) -> Callable[[StoredBlob], bytes]:
+    return lambda blob: read_verified(blob_path(folder, blob))
+
+
+def _writing(folder: Path) -> Callable[[StoredBlob, bytes], None]:
+    def write(blob: StoredBlob, data: bytes) -> None:
+        path = blob_path(folder, blob)
+        _make_private(path.parent)
+        write_later_synced(path, data)
+
+    return write
+
+
+def _copy_blobs(
+    rows: sqlite3.Connection, read: Callable[[StoredBlob], bytes], write: Callable[[StoredBlob, bytes], object]
+) -> tuple[int, int, tuple[str, ...]]:
     """Copy the blobs of the rows; how many, how many bytes, and the addresses of missing and damaged ones."""
     count, size_bytes, lost = 0, 0, []
     for blob in named_blobs(rows):
         try:
-            data = read_verified(blob_path(source, blob))
+            data = read(blob)
         except DataLoss:
             lost.append(f"{blob.tenant}/{blob.kind}/{blob.sha256}")
             continue
-        path = blob_path(target, blob)
-        _make_private(path.parent)
-        write_later_synced(path, data)
+        write(blob, data)
         count, size_bytes = count + 1, size_bytes + len(data)
     return count, size_bytes, tuple(lost)
 

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import random
 import sqlite3
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 
-from revisit.core.errors import DataLoss
+from revisit.core.errors import DataLoss, RevisitError
 from revisit.service.engines.local.files.blobs import FileBlobStore, blob_path, read_verified
 from revisit.service.engines.local.files.filesystem import MOUNTS, RemoteFileSystem, filesystem_type, require_local
 from revisit.service.engines.local.sqlite.blob_rows import named_blobs
@@ -17,7 +17,7 @@ from revisit.service.engines.local.sqlite.connections import DATABASE, open_to_r
 from revisit.service.engines.local.sqlite.migration import current_revision
 from revisit.service.engines.local.sqlite.row_checksums import damaged_rows
 from revisit.service.engines.schema import NEWEST_REVISION, known_revisions
-from revisit.service.engines.stored_blobs import QUARANTINE
+from revisit.service.engines.stored_blobs import QUARANTINE, BlobDamaged, BlobStoreUnusable, Bucket
 from revisit.service.features.upkeep.calls import WAL_ALARM_BYTES
 from revisit.service.ports.blobs import StoredBlob
 
@@ -38,22 +38,25 @@ class Finding:
     detail: str
 
 
-def examine(home: Path, *, full: bool) -> list[Finding]:
-    """Check a data folder, whether or not the service runs, and change nothing. `full`: read every blob and row."""
+def examine(home: Path, *, full: bool, bucket: Bucket | None = None) -> list[Finding]:
+    """Check a data folder, and the bucket of its blobs where they lie in one, whether or not the service runs.
+
+    Changes nothing. `full`: read every blob and row.
+    """
     database = home / DATABASE
-    findings = [_sqlite_library(), _file_system(home)]
+    findings = [_sqlite_library(), _file_system(home), *(_bucket(bucket) if bucket else ())]
+    if findings[-1].ok is False:
+        return findings
     if not database.exists():
         return [*findings, Finding("database", None, f"{database} does not exist yet")]
     try:
         with closing(open_to_read(database)) as rows:
             findings += [_schema(database), _pages(rows), _references(rows), _wal(database)]
             findings += [_rows(rows)] if full else []
-            findings.append(_blobs(home, list(named_blobs(rows)), full=full))
+            findings.append(_blobs(_reader(home, bucket), list(named_blobs(rows)), full=full))
     except (sqlite3.Error, UnicodeError) as error:  # SQLite's messages hold names, damaged or not
         findings.append(Finding("database", False, f"{database}: {error}"))
-    aside = FileBlobStore(home / "blobs").quarantined() if (home / "blobs").is_dir() else 0
-    detail = f"{aside} damaged blobs lie in {home / 'blobs' / QUARANTINE}" if aside else "empty"
-    return [*findings, Finding("quarantine", aside == 0, detail)]
+    return [*findings, _quarantine(home, bucket)]
 
 
 @dataclass(frozen=True)
@@ -69,13 +72,13 @@ class Scrubbed:
     rows: tuple[str, ...]
 
 
-def scrub(home: Path) -> Scrubbed:
+def scrub(home: Path, bucket: Bucket | None = None) -> Scrubbed:
     """Read every blob that a row refers to and every page of the database; the service may run.
 
-    A damaged blob is moved to quarantine: requests for it get DATA_LOSS until the same content is posted again.
-    Raises OSError, sqlite3.Error.
+    A damaged blob is put into quarantine: requests for it get DATA_LOSS until the same content is posted again.
+    Raises OSError, sqlite3.Error, StorageUncertain.
     """
-    store = FileBlobStore(home / "blobs")
+    store = bucket or FileBlobStore(home / "blobs")
     damaged: list[str] = []
     missing: list[str] = []
     with closing(open_to_read(home / DATABASE)) as rows:
@@ -84,12 +87,35 @@ def scrub(home: Path) -> Scrubbed:
         wrong = tuple(damaged_rows(rows)) if verdict == "ok" else ()
         blobs = list(named_blobs(rows))
     for blob in blobs:
-        there = blob_path(home / "blobs", blob).exists()
         try:
             store.get(blob.tenant, blob.kind, blob.sha256)
-        except DataLoss:
-            (damaged if there else missing).append(f"{blob.tenant}/{blob.kind}/{blob.sha256}")
+        except DataLoss as error:
+            (damaged if isinstance(error, BlobDamaged) else missing).append(f"{blob.tenant}/{blob.kind}/{blob.sha256}")
     return Scrubbed(len(blobs), tuple(damaged), tuple(missing), str(verdict), wrong)
+
+
+def _bucket(bucket: Bucket) -> Iterator[Finding]:
+    try:
+        keeps_versions = bucket.try_out()
+    except BlobStoreUnusable as error:
+        yield Finding("bucket", False, str(error))
+        return
+    if keeps_versions:
+        detail = "kept: what is deleted stays until a lifecycle rule deletes noncurrent versions; is there one?"
+        yield Finding("versions of objects", None, detail)
+    yield Finding("bucket", True, f"{bucket.url} stores, gives back, lists and deletes")
+
+
+def _quarantine(home: Path, bucket: Bucket | None) -> Finding:
+    folder = home / "blobs"
+    place = f"{bucket.url}/{QUARANTINE}" if bucket else str(folder / QUARANTINE)
+    stores = [bucket] if bucket else [FileBlobStore(folder)] if folder.is_dir() else []
+    aside = sum(store.quarantined() for store in stores)
+    return Finding("quarantine", aside == 0, f"{aside} damaged blobs lie in {place}" if aside else "empty")
+
+
+def _reader(home: Path, bucket: Bucket | None) -> Callable[[StoredBlob], bytes]:
+    return bucket.read if bucket else lambda blob: read_verified(blob_path(home / "blobs", blob))
 
 
 def _sqlite_library() -> Finding:
@@ -140,16 +166,16 @@ def _wal(database: Path) -> Finding:
     return Finding("WAL", size_bytes <= WAL_ALARM_BYTES, f"{size_bytes / 2**20:.1f} MiB")
 
 
-def _blobs(home: Path, named: Sequence[StoredBlob], *, full: bool) -> Finding:
+def _blobs(read: Callable[[StoredBlob], bytes], named: Sequence[StoredBlob], *, full: bool) -> Finding:
     chosen = named if full else random.sample(named, min(SAMPLE, len(named)))
-    bad = [problem for blob in chosen if (problem := _problem(home, blob))]
+    bad = [problem for blob in chosen if (problem := _problem(read, blob))]
     examples = f": {'; '.join(bad[:3])}" if bad else ""
     return Finding("blobs", not bad, f"{len(chosen)} of {len(named)} read, {len(bad)} missing or damaged{examples}")
 
 
-def _problem(home: Path, blob: StoredBlob) -> str:
+def _problem(read: Callable[[StoredBlob], bytes], blob: StoredBlob) -> str:
     try:
-        read_verified(blob_path(home / "blobs", blob))
-    except DataLoss as error:
+        read(blob)
+    except RevisitError as error:
         return error.message
     return ""
