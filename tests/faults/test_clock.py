@@ -29,6 +29,7 @@ JUMPS = {
 READS_THE_WALL_CLOCK = {
     "service/engines/local/clock.py": "labels: when something was created or finished",
     "service/engines/local/sqlite/backup.py": "a label of the backup",
+    "service/engines/s3/blobs.py": "the age of objects without a row; servers refuse a clock that is off by 15 minutes",
     "service/engines/local/files/blobs.py": "the age of files without a row; a file with a row is kept at any age",
 }
 
