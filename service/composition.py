@@ -40,8 +40,8 @@ from revisit.service.engines.local.sqlite.checkpoints import Checkpoints
 from revisit.service.engines.local.sqlite.connections import open_to_read, write_ahead_log
 from revisit.service.engines.local.sqlite.transactions import SqliteTransactions, StorageFailures
 from revisit.service.engines.local.vector_index import SAVED_FROM, PlaceVectorIndex
-from revisit.service.features.index.caught_up_index import CaughtUpIndex
 from revisit.service.engines.stored_blobs import BlobStoreUnusable
+from revisit.service.features.index.caught_up_index import CaughtUpIndex
 from revisit.service.features.recognition.reembedding import Reembedding
 from revisit.service.features.upkeep.calls import WORKER_SEEN_WITHIN_MS
 from revisit.service.features.upkeep.chores import Chore
@@ -49,8 +49,8 @@ from revisit.service.features.upkeep.retention import forget_answers, forget_eve
 from revisit.service.features.upkeep.sweeping import collect, sweep
 from revisit.service.features.webhooks.deliveries import Deliveries
 from revisit.service.large_blocks import SPARE_BYTES, return_large_blocks, share_one_heap
-from revisit.service.ports.place_search import SearchElsewhere
 from revisit.service.ports.blobs import BlobOutage, BlobStore, NoOutage
+from revisit.service.ports.place_search import SearchElsewhere
 from revisit.service.ports.recogniser import PlaceRecogniser
 from revisit.service.ports.tracing import NoTracer, Tracer
 from revisit.service.ports.transactions import Transactions
