@@ -11,6 +11,7 @@ from revisit.service.features.index.answers import (
     SearchHit,
     SearchResult,
 )
+from revisit.service.features.ingest.clouds import EncodedCloud
 from revisit.service.features.search.calls import LocalizeQuery
 from revisit.service.use_cases import UseCases
 from revisit.service.wire import names, requests
@@ -19,12 +20,16 @@ from revisit.service.wire.rendering import Answer
 from revisit.v1 import loop_closure_pb2 as pb
 
 
-async def search_submaps(cases: UseCases, tenant: TenantId, request: pb.SearchSubmapsRequest) -> Answer:
-    """The submaps most like a submap, a descriptor or a cloud."""
-    return search_fields(await _search(cases, tenant, request))
+async def search_submaps(
+    cases: UseCases, tenant: TenantId, request: pb.SearchSubmapsRequest, body: EncodedCloud | None = None
+) -> Answer:
+    """The submaps most like a submap, a descriptor or a cloud, which may be the `body` of the request."""
+    return search_fields(await _search(cases, tenant, request, body))
 
 
-async def _search(cases: UseCases, tenant: TenantId, request: pb.SearchSubmapsRequest) -> SearchResult:
+async def _search(
+    cases: UseCases, tenant: TenantId, request: pb.SearchSubmapsRequest, body: EncodedCloud | None
+) -> SearchResult:
     map_id, criteria = names.map_id(request.parent, "parent"), _criteria(request)
     fresh = requests.freshness(request)
     match request.WhichOneof("query"):
@@ -35,16 +40,20 @@ async def _search(cases: UseCases, tenant: TenantId, request: pb.SearchSubmapsRe
             vector, version = requests.vector(request.place_descriptor), request.place_descriptor.model_version
             return await cases.searches.by_descriptor(tenant, map_id, vector, version, criteria, fresh)
         case "cloud":
-            cloud, level = requests.cloud(request.cloud), requests.optional_pose(request, "t_level_query")
-            return await cases.searches.by_cloud(tenant, map_id, cloud, criteria, fresh, T_level_query=level)
-    raise BadField("give a submap, a descriptor or a cloud", field="query")
+            body = requests.cloud(request.cloud)
+    if body is None:
+        raise BadField("give a submap, a descriptor or a cloud", field="query")
+    level = requests.optional_pose(request, "t_level_query")
+    return await cases.searches.by_cloud(tenant, map_id, body, criteria, fresh, T_level_query=level)
 
 
-async def localize(cases: UseCases, tenant: TenantId, request: pb.LocalizeRequest) -> Answer:
-    """Where in the map the cloud was taken, if the place is known."""
+async def localize(
+    cases: UseCases, tenant: TenantId, request: pb.LocalizeRequest, body: EncodedCloud | None = None
+) -> Answer:
+    """Where in the map the cloud was taken, which may be the `body` of the request, if the place is known."""
     query = LocalizeQuery(
         map_id=names.map_id(request.parent, "parent"),
-        cloud=requests.cloud(request.cloud),
+        cloud=body or requests.cloud(request.cloud),
         prior_position_m=requests.position(request),
         radius_m=requests.optional(request, "radius_m"),
         exclude_session=names.session_id_in(request.parent, request.exclude_session, "exclude_session"),

@@ -13,28 +13,14 @@ from revisit.core.geometry.se3 import Matrix4
 from revisit.service.domain import limits
 from revisit.service.domain.callers import current_tenant
 from revisit.service.domain.identity import SessionKey, SubmapKey, TenantId
-from revisit.service.features.index.answers import SearchCriteria
 from revisit.service.features.ingest.clouds import EncodedCloud
-from revisit.service.features.waiting.freshness import DEFAULT_WAIT_S, Freshness
 from revisit.service.rest.bodies import cloud_body, parse_numbers
-from revisit.service.rest.schemas import IN_DIGITS, STOREY, bounds
+from revisit.service.rest.schemas import IN_DIGITS, bounds
 from revisit.service.use_cases import UseCases
 
 POSE_HELP = "x,y,z,qx,qy,qz,qw: translation in metres and unit quaternion."
 
-POINT_HELP = "x,y,z in metres"
-
-LEVEL_HELP = (
-    "x,y,z,qx,qy,qz,qw: the pose of a cloud in a frame whose z points up, of which the rotation counts. Without it, "
-    "z of the cloud itself must point up."
-)
-
-MIN_SEQ_HELP = (
-    "The seq of a submap: the answer rests on every submap of the map up to it, or is a 504 (SEQ_NOT_REACHED)."
-)
-
-
-STOREY_HELP = "The storey that the cloud was taken on: submaps of sessions on another one are not compared."
+POINT_HELP = "x,y,z in metres."
 
 
 async def _use_cases(request: Request) -> UseCases:
@@ -105,55 +91,3 @@ def _given(query: str | None, header: str | None, field: str) -> str:
 
 PoseOfSubmap: TypeAlias = Annotated[Matrix4, Depends(_pose_of_submap)]
 PoseOfSensor: TypeAlias = Annotated[Matrix4, Depends(_pose_of_sensor)]
-
-
-async def prior_position(
-    prior_position_m: Annotated[str | None, Query(description=POINT_HELP, max_length=200)] = None,
-) -> tuple[float, float, float] | None:
-    """The prior of a search by cloud. Raises BadField."""
-    if prior_position_m is None:
-        return None
-    x, y, z = parse_numbers(prior_position_m, 3, "prior_position_m", "x,y,z")
-    return (x, y, z)
-
-
-Prior: TypeAlias = Annotated[tuple[float, float, float] | None, Depends(prior_position)]
-RadiusM: TypeAlias = Annotated[float | None, Query(**bounds(limits.RADIUS_M))]
-
-
-async def level_pose(
-    T_level_query: Annotated[str | None, Query(description=LEVEL_HELP, max_length=400)] = None,
-) -> Matrix4 | None:
-    """Which way is up in a cloud that asks. Raises BadField, BadTransform."""
-    return None if T_level_query is None else pose(T_level_query, "T_level_query")
-
-
-LevelPose: TypeAlias = Annotated[Matrix4 | None, Depends(level_pose)]
-SessionId: TypeAlias = Annotated[str | None, Query(max_length=limits.ID_CHARACTERS)]
-
-
-StoreyName: TypeAlias = Annotated[str | None, Query(description=STOREY_HELP, **STOREY)]
-
-
-async def criteria_of_query(
-    prior: Prior,
-    k: Annotated[int, Query(**bounds(limits.K)), IN_DIGITS] = SearchCriteria().k,
-    min_similarity: Annotated[float | None, Query(**bounds(limits.MIN_SIMILARITY))] = None,
-    exclude_session: SessionId = None,
-    only_session: SessionId = None,
-    radius_m: RadiusM = None,
-    storey: StoreyName = None,
-) -> SearchCriteria:
-    """The criteria of a search by cloud, from the query string."""
-    return SearchCriteria(k, min_similarity, exclude_session, only_session, None, prior, radius_m, storey)
-
-
-async def freshness_of_query(
-    min_seq: Annotated[int, Query(**bounds(limits.MIN_SEQ), description=MIN_SEQ_HELP), IN_DIGITS] = 0,
-    min_seq_timeout_s: Annotated[float, Query(**bounds(limits.WAIT_S))] = DEFAULT_WAIT_S,
-) -> Freshness:
-    """The read barrier, from the query string."""
-    return Freshness(min_seq, min_seq_timeout_s)
-
-
-Fresh: TypeAlias = Annotated[Freshness, Depends(freshness_of_query)]

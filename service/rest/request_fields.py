@@ -11,7 +11,9 @@ from revisit.service.calls.operations import DEFAULT_OPERATION_WAIT_S
 from revisit.service.domain import limits
 from revisit.service.domain.limits import Range
 from revisit.service.features.catalogue.maps import CreateMap
+from revisit.service.features.index.answers import SearchCriteria
 from revisit.service.features.resources.paging import PageRequest
+from revisit.service.features.search.calls import LocalizeQuery
 from revisit.service.features.tiles.calls import MapQuestion
 from revisit.service.features.waiting.freshness import DEFAULT_WAIT_S
 from revisit.service.rest.schemas import DISPLAY_NAME, ID, PROFILE, STOREY
@@ -27,6 +29,8 @@ BOUNDS: dict[str, Range] = {
     "min_score": limits.MIN_SCORE,
     "min_overlap": limits.MIN_OVERLAP,
     "max_seen_through": limits.MAX_SEEN_THROUGH,
+    "k": limits.K,
+    "min_similarity": limits.MIN_SIMILARITY,
     "version": limits.MAP_VERSION,
     "radius_m": limits.RADIUS_M,
     "within_m": limits.MAP_RADIUS_M,
@@ -58,12 +62,16 @@ TEXTS: dict[str, dict[str, Any]] = {
     "match": {"max_length": limits.RESOURCE_NAME_CHARACTERS},
     "frame": {"max_length": limits.ID_CHARACTERS},
     "session": {"max_length": limits.ID_CHARACTERS},
+    "exclude_session": {"max_length": limits.ID_CHARACTERS},
+    "only_session": {"max_length": limits.ID_CHARACTERS},
 }
 """Of strings."""
 
 DEFAULTS: dict[str, Any] = {
     "profile": CreateMap.profile,
     "scene_scale": 1.0,
+    "k": SearchCriteria().k,
+    "LocalizeRequest.candidates": LocalizeQuery.candidates,
     "page_size": PageRequest().size,
     "limit": MapQuestion.limit,
     "min_seq_timeout_s": DEFAULT_WAIT_S,
@@ -72,7 +80,7 @@ DEFAULTS: dict[str, Any] = {
     "storey": None,
     "reason": None,
 }
-"""Where they are not those of protobuf."""
+"""Where they are not those of protobuf; by message and field where a name alone is not enough."""
 
 REQUIRED = frozenset({
     "map_id", "robot_id", "session_id", "webhook_id", "url", "version", "source", "query", "match", "points_m",

@@ -11,14 +11,14 @@ import inspect
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cache, partial
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, TypeVar
 
 from fastapi import Query
 from google.protobuf.descriptor import Descriptor, EnumDescriptor, FieldDescriptor
 from google.protobuf.message import Message
 from pydantic import Field, create_model
 
-from revisit.api.calls import Call
+from revisit.api.calls import Call, Form
 from revisit.api.http_form import is_point, is_transform, spelling
 from revisit.core.errors import BadField
 from revisit.service.domain import limits
@@ -39,6 +39,7 @@ from revisit.service.wire.fields import descriptor_of
 from revisit.v1.comments import COMMENTS
 
 Values = Mapping[str, Any]
+Route = TypeVar("Route", bound=Callable[..., Any])
 
 
 @dataclass(frozen=True)
@@ -74,14 +75,24 @@ class RequestForm:
     body: tuple[Spelled, ...]
     model: type[Request] | None
 
-    def parameters(self) -> list[inspect.Parameter]:
-        """The parameters of a route, but for its body."""
+    def _parameters(self) -> list[inspect.Parameter]:
         kind, ids = inspect.Parameter.KEYWORD_ONLY, [(name, Id, ...) for name in self.ids]
         asked = [(one.name, one.kind, one.default) for one in self.query]
         return [
             inspect.Parameter(name, kind, annotation=of, default=inspect.Parameter.empty if default is ... else default)
             for name, of, default in (*ids, *asked)
         ]
+
+    def asked_by(self, **others: Any) -> Callable[[Route], Route]:
+        """Gives a route the parameters of the request beside `others`, annotations by name."""
+        kind = inspect.Parameter.KEYWORD_ONLY
+        more = [inspect.Parameter(name, kind, annotation=annotation) for name, annotation in others.items()]
+
+        def asked(route: Route) -> Route:
+            route.__signature__ = inspect.Signature([*self._parameters(), *more])  # type: ignore[attr-defined]
+            return route  # whose signature FastAPI reads
+
+        return asked
 
     def message(self, values: Values, body: Request | None) -> Message:
         """The request of these values. Raises BadField."""
@@ -104,11 +115,11 @@ def _attribute(body: Request | None, name: str) -> Any:
     return getattr(body, name)
 
 
-def form_of(call: Call) -> RequestForm:
-    """The form of the request of a call that HTTP has."""
+def form_of(call: Call, without: frozenset[str] = frozenset()) -> RequestForm:
+    """The form of the request of a call that HTTP has, but for the fields `without`, which have a form of their own."""
     named, pattern, ids = resource_in(call)
-    fields = [field for field in descriptor_of(call.request).fields if field.name != named]
-    in_body = call.row.http.startswith("POST") and bool(fields)
+    fields = [field for field in descriptor_of(call.request).fields if field.name not in {named, *without}]
+    in_body = call.row.http.startswith("POST") and call.row.form is Form.MESSAGE and bool(fields)
     spelled = tuple(_spelled(field, in_body) for field in fields)
     model = _model(descriptor_of(call.request), spelled, call.row.json_bytes) if in_body else None
     query, body = ((), spelled) if in_body else (spelled, ())
@@ -131,8 +142,9 @@ def _spelled(field: FieldDescriptor, in_body: bool) -> Spelled:
 def _default(field: FieldDescriptor, by_id: bool) -> Any:
     if field.name in REQUIRED and not by_id:
         return ...
-    if field.name in DEFAULTS:
-        return DEFAULTS[field.name]
+    for key in (".".join(field.full_name.split(".")[-2:]), field.name):
+        if key in DEFAULTS:
+            return DEFAULTS[key]
     if _is_part(field):
         return _part(field.message_type)()
     if by_id or field.has_presence or (field.enum_type is not None and not field.is_repeated):
@@ -191,17 +203,17 @@ def _details(field: FieldDescriptor, by_id: bool) -> dict[str, Any]:
     if field.name in BOUNDS:
         return _described(field, bounds(BOUNDS[field.name]))
     if is_transform(field):
-        return {"max_length": POSE_CHARACTERS, "description": POSE_HELP}
+        return _described(field, {"max_length": POSE_CHARACTERS}, POSE_HELP)
     if is_point(field):
-        point = {"max_length": POINT_CHARACTERS, "description": POINT_HELP}
+        point = _described(field, {"max_length": POINT_CHARACTERS}, POINT_HELP)
         return length(limits.DISTANCE_POINTS, 3) if field.is_repeated else point
     if field.enum_type is not None and field.is_repeated:
         return _described(field, {"max_length": len(_names(field.enum_type))})
     return TEXTS[field.name] if by_id else _described(field, TEXTS.get(field.name, {}))
 
 
-def _described(field: FieldDescriptor, details: dict[str, Any]) -> dict[str, Any]:
-    comment = COMMENTS.get(field.full_name)
+def _described(field: FieldDescriptor, details: dict[str, Any], spelled: str = "") -> dict[str, Any]:
+    comment = " ".join(filter(None, (spelled, COMMENTS.get(field.full_name))))
     return {**details, "description": comment} if comment else details
 
 

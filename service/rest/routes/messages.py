@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import inspect
 from collections.abc import Callable
 from functools import partial
 from typing import Annotated, Any
@@ -48,13 +47,9 @@ def _route(form: RequestForm, cases: UseCases) -> Callable[..., Any]:
         request = form.message(values, values.get(BODY))
         return await rendered(await use(current_tenant(), request), made)
 
-    parameters = form.parameters()
-    if form.model is not None:
-        read: Any = Annotated[(form.model, json_body(form.model))]
-        parameters.append(inspect.Parameter(BODY, inspect.Parameter.KEYWORD_ONLY, annotation=read))
     route.__name__ = call.use
-    route.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]  # read by FastAPI
-    return route
+    body = {} if form.model is None else {BODY: Annotated[(form.model, json_body(form.model))]}
+    return form.asked_by(**body)(route)
 
 
 def _response(call: Call, message: Any, status: int, fields: Fields) -> Response:

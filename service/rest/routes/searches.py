@@ -3,22 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Coroutine
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
-from fastapi import APIRouter, Depends, Query, Response
+from fastapi import APIRouter, Response
 from fastapi.routing import APIRoute
 from fastapi.security import SecurityScopes
 from starlette.requests import Request
 
 from revisit.api.calls import CALLS
 from revisit.core.errors import BadField
-from revisit.service.calls.search import localization_fields, search_fields
-from revisit.service.domain import limits
+from revisit.service.calls import search
+from revisit.service.calls.search import search_fields
 from revisit.service.domain.callers import current_tenant
 from revisit.service.domain.identity import TenantId
-from revisit.service.features.index.answers import SearchCriteria, SearchResult
-from revisit.service.features.search.calls import LocalizeQuery
+from revisit.service.features.index.answers import SearchResult
+from revisit.service.features.ingest.clouds import EncodedCloud
 from revisit.service.features.waiting.freshness import Freshness
 from revisit.service.rest.access import admitted, scopes_of, served
 from revisit.service.rest.answers import answer, answers
@@ -33,17 +33,10 @@ from revisit.service.rest.parameters import (
     PATH_ID_CHARACTERS,
     Cases,
     Cloud,
-    Fresh,
-    Id,
-    LevelPose,
-    Prior,
-    RadiusM,
-    SessionId,
-    StoreyName,
     Tenant,
-    criteria_of_query,
 )
-from revisit.service.rest.schemas import IN_DIGITS, SearchRequest, bounds
+from revisit.service.rest.request_form import form_of
+from revisit.service.rest.schemas import SearchRequest
 from revisit.service.use_cases import UseCases
 from revisit.service.wire import names
 from revisit.v1.loop_closure_pb2 import LocalizeResponse as LocalizeAnswer
@@ -89,42 +82,28 @@ _SEARCH_BODY = {
 }
 
 
+_BY_CLOUD = form_of(CALLS["SearchSubmaps"], frozenset({"submap", "place_descriptor", "cloud", "leave_distance_m"}))
+_LOCALIZE = form_of(CALLS["Localize"], frozenset({"cloud"}))
+
+
 @router.api_route(**served(CALLS["SearchSubmaps"]), **answers(SearchAnswer), openapi_extra=_SEARCH_BODY)
-async def search_submaps(
-    map_id: Id,
-    request: Request,
-    criteria: Annotated[SearchCriteria, Depends(criteria_of_query)],
-    fresh: Fresh,
-    level: LevelPose,
-    cases: Cases,
-    tenant: Tenant,
-) -> Response:
+@_BY_CLOUD.asked_by(request=Request, cases=Cases, tenant=Tenant)
+async def search_submaps(request: Request, cases: UseCases, tenant: TenantId, **values: Any) -> Response:
     """The submaps most like a submap, a descriptor or a cloud."""
+    asked: Any = _BY_CLOUD.message(values, None)
     if media_type(request) == "application/json":
-        return await _answer_by_json(request, cases, tenant, map_id)
-    cloud = await cloud_body(request)
-    found = await cases.searches.by_cloud(tenant, map_id, cloud, criteria, fresh, T_level_query=level)
-    return answer(SearchAnswer, search_fields(found))
+        return await _answer_by_json(request, cases, tenant, values["map_id"])
+    found: Any = await search.search_submaps(cases, tenant, asked, await cloud_body(request))
+    return answer(SearchAnswer, found)
 
 
 @router.api_route(**served(CALLS["Localize"]), **answers(LocalizeAnswer), openapi_extra=CLOUD_BODY)
-async def localize(
-    map_id: Id,
-    cloud: Cloud,
-    cases: Cases,
-    tenant: Tenant,
-    prior: Prior,
-    fresh: Fresh,
-    level: LevelPose,
-    radius_m: RadiusM = None,
-    candidates: Annotated[int, Query(**bounds(limits.LOCALIZE_CANDIDATES)), IN_DIGITS] = 10,
-    exclude_session: SessionId = None,
-    only_session: SessionId = None,
-    storey: StoreyName = None,
-) -> Response:
+@_LOCALIZE.asked_by(cloud=Cloud, cases=Cases, tenant=Tenant)
+async def localize(cloud: EncodedCloud, cases: UseCases, tenant: TenantId, **values: Any) -> Response:
     """Where in the map was this cloud taken? No match is an answer, not an error."""
-    query = LocalizeQuery(map_id, cloud, prior, radius_m, candidates, exclude_session, only_session, level, storey)
-    return answer(LocalizeAnswer, localization_fields(await cases.searches.localize(tenant, query, fresh)))
+    asked: Any = _LOCALIZE.message(values, None)
+    found: Any = await search.localize(cases, tenant, asked, cloud)
+    return answer(LocalizeAnswer, found)
 
 
 async def _answer_by_json(request: Request, cases: UseCases, tenant: TenantId, map_id: str) -> Response:

@@ -86,7 +86,7 @@ async def test_long_json_is_parsed_beside_the_event_loop_and_one_of_a_tenant_at_
 
 
 async def test_of_many_lists_of_a_tenant_one_is_read_at_a_time_and_others_go_between(app, world, keys):
-    turns = world.use_cases.submaps._lists._turns
+    turns = world.use_cases.submaps._context.lists._turns
     async with client_of(app) as client, asyncio.timeout(60):
         async with turns.of("greedy"):
             waiting = [asyncio.create_task(listed(client, keys["greedy"])) for _ in range(MANY)]
