@@ -156,8 +156,8 @@ class MapPoints(Resource):
 class Webhook(Resource):
     """Where events are sent; `secret` is there in the answer that created it, and nowhere else.
 
-    `told` is the number of the last event that was dealt with, `failures` counts attempts in vain since then; `state`
-    ENABLED or SUSPENDED.
+    `told` is the number of the last event that arrived, within its map, `failures` counts attempts in vain since then;
+    `state` ENABLED or SUSPENDED.
     """
 
     name: str

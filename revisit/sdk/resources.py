@@ -168,7 +168,7 @@ class Submap(Resource):
     descriptor: tuple[float, ...] = field(default=(), metadata=read_by(lambda message: tuple(message.place_descriptor)))
     """The place descriptor, a unit vector of model_version; only where the view FULL was asked for, once described."""
     seq: int = 0
-    """Grows with every submap of the service, in the order in which they were stored: what min_seq of a query takes."""
+    """Grows with every submap of the map, in the order in which they were stored: what min_seq of a query takes."""
     in_map: MapPose | None = field(default=None, compare=False, metadata=read_by(in_map("t_map_submap")))
     """The pose in a frame of the map; None while no version of the map has the session."""
 
@@ -437,11 +437,13 @@ class Event(Resource):
     """Something that became true in a map. It holds its resource as that stands when the event is told."""
 
     number: int = 0
-    """Grows with every event of the service; a watch after it goes on behind it."""
+    """Grows with every event of the map; a watch after it goes on behind it. Events of two maps may have the same
+    number.
+    """
     kind: str = ""
     """LOOP_CLOSURE, OPERATION, OPENED, MAP_VERSION or FORGOTTEN."""
     map: str = ""
-    """maps/{map}; empty where it concerns every map."""
+    """maps/{map}"""
     loop_closure: LoopClosure | None = None
     operation: Operation | None = None
     map_version: MapVersion | None = None
@@ -452,7 +454,7 @@ class WebhookDelivery(Resource):
     """One attempt to deliver."""
 
     first_event: int = 0
-    """The numbers of the first and the last event of the request, and how many it held."""
+    """The numbers of the first and the last event of the request, each within its map, and how many it held."""
     last_event: int = 0
     events: int = 0
     attempt: int = 0

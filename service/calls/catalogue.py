@@ -84,7 +84,7 @@ def submap_fields(view: SubmapView) -> Fields:
         submap_pb2.Submap,
         view,
         name=view.key.name,
-        seq=view.number,
+        seq=view.seq,
         raw_bytes=12 * view.point_count,
         failure=failure_fields(view),
         operation=f"operations/{view.operation_id}",

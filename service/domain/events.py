@@ -6,7 +6,7 @@ lost connection or a restart, without loss and without doubles.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from typing import Protocol, TypeAlias, TypeVar
 
@@ -26,7 +26,10 @@ WAITED_FOR = frozenset({OperationKind.SEARCH_CLOUD.value, OperationKind.LOCALIZE
 
 @dataclass(frozen=True)
 class EventRecord:
-    """A row of the log: something became true of `subject`, a loop's or an operation's id, in a map."""
+    """A row of the log: something became true of `subject`, a loop's or an operation's id, in a map.
+
+    `number` is its place among the events of the map.
+    """
 
     tenant: TenantId
     map_id: str
@@ -35,32 +38,31 @@ class EventRecord:
     number: int = 0
 
 
+def forgotten_until(tenant: TenantId, map_id: str, number: int) -> EventRecord:
+    """The sign that events of a map up to `number` are no longer kept."""
+    return EventRecord(tenant, map_id, EventKind.FORGOTTEN.value, "", number)
+
+
 class EventLog(Protocol):
-    """The log of all tenants. Numbers grow in the order of the commits and are never used twice."""
+    """The log of all maps. The numbers of a map grow in the order of the commits and are never used twice."""
 
     def record(self, event: EventRecord) -> None:
-        """Add a row with the next number."""
+        """Add a row, which gets the next number of its map with the commit; nothing where the map is gone by then."""
         ...
 
-    def following(self, tenant: TenantId, number: int, limit: int, map_id: str | None = None) -> list[EventRecord]:
-        """At most `limit` rows of a tenant above `number`, by number; of one map, with the events that concern every
-        map.
+    def following(self, tenant: TenantId, map_id: str, number: int, limit: int) -> list[EventRecord]:
+        """At most `limit` rows of a map above `number`, by number.
+
+        The first is of the kind FORGOTTEN where some of them are no longer kept: it has the number of the last.
         """
         ...
 
-    def newest_of_maps(self, number: int) -> list[EventRecord]:
-        """The last row of each map of each tenant that has one above `number`; by number."""
-        ...
-
-    def last_number(self) -> int:
-        """The last number that was given out, to whichever tenant; 0 for none."""
+    def last_numbers(self, maps: Collection[tuple[TenantId, str]]) -> dict[tuple[TenantId, str], int]:
+        """The last number of each of these maps that is there, 0 for none."""
         ...
 
     def forget(self, kept: int) -> int:
-        """Delete all but the last `kept` rows of each tenant; how many.
-
-        A row of the kind FORGOTTEN, of no map, stays in place of the last one that was deleted.
-        """
+        """Delete all but the last `kept` rows of each tenant; how many."""
         ...
 
 

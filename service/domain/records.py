@@ -140,8 +140,9 @@ class ScanRecord:
 class SubmapRecord:
     """A submap: one cloud blob, or the scans first_seq..last_seq; and a worker's results.
 
-    `entered` is the change by which it entered the index of its map, 0 before that, and `map_version` the version in
-    force then. `searched`: its loops with those that entered before it are there.
+    `seq` is its number within its map, given with its commit. `entered` is the change by which it entered the index of
+    its map, 0 before that, and `map_version` the version in force then. `searched`: its loops with those that entered
+    before it are there.
     """
 
     tenant: TenantId
@@ -173,6 +174,7 @@ class SubmapRecord:
     entered: int = 0
     map_version: int = 0
     searched: bool = True
+    seq: int = 0
     number: int = 0
 
     @property

@@ -13,8 +13,9 @@ from revisit.service.domain.identity import TenantId
 class WebhookRecord:
     """Where events are sent. `map_id` and `kinds` keep those of one map and of these kinds; None and () keep all.
 
-    `told` is the number of the last delivered event, `failures` counts the failed attempts since then, and
-    `due_at_ns` (wall clock) is when the next may be made. `secret` signs the requests.
+    `told` is the number, within its map, of the last delivered event (see `WebhookRepository` for all maps), `failures`
+    counts the failed attempts since then, and `due_at_ns` (wall clock) is when the next may be made. `secret` signs the
+    requests.
     """
 
     tenant: TenantId
@@ -33,8 +34,19 @@ class WebhookRecord:
 
 
 @dataclass(frozen=True)
+class News:
+    """What a webhook has not been told of a map: the events behind number `told` up to `last`."""
+
+    told: int
+    last: int
+
+
+@dataclass(frozen=True)
 class DeliveryRecord:
-    """One attempt to deliver events `first_event` to `last_event`: the status of the answer, or why there was none."""
+    """One attempt to deliver events, the first to the last by their numbers within their maps.
+
+    It has the status of the answer, or why there was none.
+    """
 
     tenant: TenantId
     webhook_id: str

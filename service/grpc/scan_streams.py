@@ -155,7 +155,7 @@ class _ScanStream:
         return ack
 
     async def _acknowledge(self, ack: ScanAck) -> None:
-        submap_seq = 0 if ack.submap is None else ack.submap.submap.number
+        submap_seq = 0 if ack.submap is None else ack.submap.submap.seq
         await self._send(ack=pb.Ack(committed_seq=ack.committed_seq, credits=1, submap_seq=submap_seq))
         if ack.submap is not None:
             posted = ack.submap

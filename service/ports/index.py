@@ -10,11 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from revisit.service.domain.identity import TenantId
+from revisit.service.domain.records import MapRecord
 
 
 @dataclass(frozen=True)
 class IndexChange:
-    """A submap entered (`vector` given) or left a map's index. `seq` grows in the order of commits.
+    """A submap entered (`vector` given) or left a map's index. `seq` grows within the map in the order of commits.
 
     `whole_session`: all submaps of the session left that had come before, and no single one is meant.
     """
@@ -36,15 +37,17 @@ class IndexChange:
 class ChangeLog(Protocol):
     """The history of a map's index, which lets any process catch up: the database is the truth, an index a cache."""
 
-    def record_described(self, tenant: TenantId, map_number: int, submap_number: int) -> int:
-        """The submap has a descriptor now; the change's sequence number, which its row gets as `entered`."""
+    def record_described(self, record: MapRecord, submap_number: int) -> None:
+        """The submap of this map has a descriptor now. The change gets its number with the commit, and so does the
+        submap's row, as `entered`.
+        """
         ...
 
-    def record_removed(self, tenant: TenantId, map_number: int, submap_numbers: Collection[int]) -> None:
+    def record_removed(self, record: MapRecord, submap_numbers: Collection[int]) -> None:
         """The submaps are gone; a change for each."""
         ...
 
-    def record_session_removed(self, tenant: TenantId, map_number: int, session_number: int) -> None:
+    def record_session_removed(self, record: MapRecord, session_number: int) -> None:
         """All submaps of a session are gone, and none will come: one change."""
         ...
 

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol, TypeVar
 
 from revisit.service.domain.identity import SubmapKey, TenantId
 from revisit.service.domain.records import JobRecord, LoopRecord, Pose, ScanRecord, SubmapRecord
+from revisit.service.domain.webhooks import News, WebhookRecord
 
 R = TypeVar("R")
 
@@ -160,8 +161,8 @@ class FoundSubmaps(Protocol):
 class SubmapRepository(Repository[SubmapRecord], FoundSubmaps, Protocol):
     """Submaps, also by how far a map has come with them."""
 
-    def last_number(self, tenant: TenantId) -> int:
-        """The last number that a submap of the tenant was given, deleted since or not; 0 for none."""
+    def last_seq(self, tenant: TenantId, map_id: str) -> int:
+        """The last `seq` that a submap of the map was given, deleted since or not; 0 for none."""
         ...
 
     def points_of(self, tenant: TenantId) -> int:
@@ -181,7 +182,7 @@ class SubmapRepository(Repository[SubmapRecord], FoundSubmaps, Protocol):
         ...
 
     def first_waiting(self, tenant: TenantId, map_id: str) -> int | None:
-        """The lowest number of a submap of a map that is still queued; None where none is."""
+        """The lowest `seq` of a submap of a map that is still queued; None where none is."""
         ...
 
     def first_unsearched(self, tenant: TenantId, map_id: str) -> int | None:
@@ -232,4 +233,24 @@ class JobRepository(AwaitedJobs, Protocol):
 
     def waiting(self) -> Waiting:
         """The jobs of all tenants that have not ended."""
+        ...
+
+
+class WebhookRepository(Repository[WebhookRecord], Protocol):
+    """Webhooks, each with a position in every map that it is told of: the number of the last event that was told."""
+
+    def add(self, record: WebhookRecord) -> WebhookRecord:
+        """See `RowWriter`; it stands behind the last event of each map that is there."""
+        ...
+
+    def due(self, now_ns: int) -> list[WebhookRecord]:
+        """Enabled ones of all tenants, with news and none later than `now_ns` to be tried: the longest due first."""
+        ...
+
+    def news(self, webhook: WebhookRecord) -> dict[str, News]:
+        """The maps with events behind its position, by their ids."""
+        ...
+
+    def tell(self, webhook: WebhookRecord, told: Mapping[str, int]) -> None:
+        """Its position in these maps is another now."""
         ...

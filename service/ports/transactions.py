@@ -20,7 +20,7 @@ from revisit.service.domain.records import (
     SessionPosesRecord,
     SessionRecord,
 )
-from revisit.service.domain.webhooks import DeliveryRecord, WebhookRecord
+from revisit.service.domain.webhooks import DeliveryRecord
 from revisit.service.ports.access import AuditTrail, KeyRing
 from revisit.service.ports.blobs import BlobRows
 from revisit.service.ports.index import ChangeLog
@@ -31,6 +31,7 @@ from revisit.service.ports.repositories import (
     Repository,
     ScanRepository,
     SubmapRepository,
+    WebhookRepository,
 )
 from revisit.service.ports.search_processes import SearchProcessLog
 
@@ -144,7 +145,7 @@ class UnitOfWork(Protocol):
         ...
 
     @property
-    def webhooks(self) -> Repository[WebhookRecord]:
+    def webhooks(self) -> WebhookRepository:
         """Webhooks by (webhook_id)."""
         ...
 

@@ -11,17 +11,22 @@ from sqlalchemy import event
 from sqlalchemy.dialects import postgresql
 from sqlalchemy.schema import CreateIndex, CreateTable
 
+from revisit.service.domain.events import EventRecord
 from revisit.service.domain.records import TurnRecord
+from revisit.service.domain.webhooks import WebhookRecord
 from revisit.service.engines.sql import (
     access,
     blob_addresses,
     blob_rows,
     change_log,
+    event_log,
     jobs,
     loops,
+    map_counters,
     repositories,
     tables,
     turns,
+    webhooks,
     worker_log,
 )
 from revisit.service.engines.sql.turns import SqlTenantTurns
@@ -39,6 +44,8 @@ DIALECT = re.compile(
 NOW = Instant("boot", 1)
 KEY = KeyRecord(TENANT, "k1", "label", ("read",), "0" * 64, 1, None, None, None)
 ROW = AuditRecord(1, 1, TENANT, "actor", "keys.create", "k1", {}, "", "0" * 64)
+HOOK = WebhookRecord(TENANT, "hook", "hash", "https://example.org", None, (), "secret", "ENABLED", 0, 0, 0, 1)
+KEYED_OTHERWISE = ("workers", "search_processes", "tenant_turns", "map_counters", "webhook_positions")
 CALLS = {
     "SqlRepository.add": fill,
     "SqlRepository.get": lambda uow: [uow.maps.get(TENANT, "town", hold=hold) for hold in (False, True)],
@@ -60,7 +67,7 @@ CALLS = {
     "SqlScans.with_seqs": lambda uow: uow.scans.with_seqs(TENANT, "town", "monday", [1, 2]),
     "SqlSubmaps.placed": lambda uow: uow.submaps.placed(TENANT, "town"),
     "SqlSubmaps.add": lambda uow: uow.submaps.add(a_submap(submap_id="another")),
-    "SqlSubmaps.last_number": lambda uow: uow.submaps.last_number(TENANT),
+    "SqlSubmaps.last_seq": lambda uow: uow.submaps.last_seq(TENANT, "town"),
     "SqlSubmaps.flag_counts": lambda uow: uow.submaps.flag_counts(TENANT, "town", "monday"),
     "SqlSubmaps.found": lambda uow: uow.submaps.found(TENANT, [1]),
     "SqlSubmaps.path": lambda uow: [uow.submaps.path(TENANT, "town", "monday", 0, 5, back=back) for back in (0, 1)],
@@ -84,10 +91,21 @@ CALLS = {
     "SqlBlobRows.end": lambda uow: None,
     "SqlBlobRows.put_again": lambda uow: uow.blobs.put_again([1]),
     "SqlBlobRows.refer": lambda uow: uow.blobs.refer(TENANT, {("cloud", "e" * 64)}),
-    "SqlChangeLog.record_described": lambda uow: uow.changes.record_described(TENANT, 1, 1),
-    "SqlChangeLog.record_removed": lambda uow: uow.changes.record_removed(TENANT, 1, [1, 2]),
-    "SqlChangeLog.record_session_removed": lambda uow: uow.changes.record_session_removed(TENANT, 1, 1),
+    "SqlChangeLog.record_described": lambda uow: uow.changes.record_described(a_map(), 1),
+    "SqlChangeLog.record_removed": lambda uow: uow.changes.record_removed(a_map(), [1, 2]),
+    "SqlChangeLog.record_session_removed": lambda uow: uow.changes.record_session_removed(a_map(), 1),
     "SqlChangeLog.since": lambda uow: uow.changes.since(TENANT, 1, 0, 5),
+    "SqlMaps.add": lambda uow: uow.maps.add(a_map("gone")),
+    "SqlMaps.delete": lambda uow: uow.maps.delete(TENANT, map_id="gone"),
+    "SqlEventLog.record": lambda uow: uow.events.record(EventRecord(TENANT, "town", "OPERATION", "op-1")),
+    "SqlEventLog.following": lambda uow: uow.events.following(TENANT, "town", 0, 5),
+    "SqlEventLog.last_numbers": lambda uow: uow.events.last_numbers([(TENANT, "town")]),
+    "SqlEventLog.forget": lambda uow: uow.events.forget(0),
+    "SqlWebhooks.add": lambda uow: uow.webhooks.add(HOOK),
+    "SqlWebhooks.due": lambda uow: uow.webhooks.due(1),
+    "SqlWebhooks.news": lambda uow: uow.webhooks.news(HOOK),
+    "SqlWebhooks.tell": lambda uow: uow.webhooks.tell(HOOK, {"town": 1}),
+    "SqlWebhooks.delete": lambda uow: uow.webhooks.delete(TENANT, webhook_id="hook"),
     "SqlWorkerLog.beat": lambda uow: uow.workers.beat("w", "v"),
     "SqlWorkerLog.alive": lambda uow: uow.workers.alive(0),
     "SqlWorkerLog.forget": lambda uow: uow.workers.forget("w"),
@@ -125,7 +143,8 @@ def for_postgresql(statement) -> str:
 
 
 def test_every_method_of_the_repositories_is_called():
-    modules = (access, blob_rows, change_log, jobs, loops, repositories, turns, worker_log)
+    modules = (access, blob_rows, change_log, event_log, jobs, loops, map_counters)
+    modules += (repositories, turns, webhooks, worker_log)
     public = {
         f"{name}.{method}"
         for module in modules
@@ -145,8 +164,7 @@ def test_every_statement_compiles_for_postgresql(statements):
 
 @pytest.mark.parametrize("table", tables.metadata.sorted_tables, ids=lambda table: table.name)
 def test_every_table_compiles_for_postgresql(table):
-    named_by_text = ("workers", "search_processes", "tenant_turns", "last_submaps")
-    assert "SERIAL" in for_postgresql(CreateTable(table)) or table.name in named_by_text
+    assert "SERIAL" in for_postgresql(CreateTable(table)) or table.name in KEYED_OTHERWISE
     assert all(index.name in for_postgresql(CreateIndex(index)) for index in table.indexes)
 
 
@@ -160,13 +178,3 @@ def test_no_module_of_sql_speaks_a_dialect(path):
 )
 def test_the_search_itself_finds_what_it_should(text):
     assert DIALECT.search(text)
-
-
-def test_the_change_log_asks_for_numbers_in_the_order_of_commits():
-    store = PlainTransactions(lease_ms=1)
-    store.write(lambda uow: uow.maps.add(a_map())).result()
-    assert store.engine.ordered == []
-    store.write(lambda uow: uow.changes.record_described(TENANT, 1, 1)).result()
-    store.write(lambda uow: uow.changes.record_removed(TENANT, 1, [1])).result()
-    assert store.engine.ordered == ["index_changes", "index_changes"]
-    store.close()

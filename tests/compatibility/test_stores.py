@@ -12,9 +12,11 @@ from pathlib import Path
 
 import pytest
 
-from revisit.service.domain.identity import SubmapKey
+from revisit.service.domain.events import EventRecord
+from revisit.service.domain.identity import DEFAULT_TENANT, SubmapKey
 from revisit.service.engines import schema
 from revisit.service.engines.local.sqlite.migration import current_revision, migrate
+from revisit.service.engines.local.sqlite.transactions import SqliteTransactions
 from revisit.service.engines.schema import NEWEST_REVISION, ForeignSchema
 from revisit.service.features.index.answers import SearchCriteria
 from tests.compatibility.write import ROOT, STORES, write_store
@@ -91,6 +93,50 @@ def test_a_store_that_all_steps_made_becomes_one_of_today_and_again_what_it_was(
     assert [row["profile"] for row in maps_of(database)] == ["product"] * len(before[1])
     migrate(database, "0024")
     assert (schema_of(database), maps_of(database)) == before and before[1]
+
+
+def of_two_maps(database: Path) -> None:
+    """What a version before wrote, numbered by the rows of the service: submaps, changes, events and a webhook."""
+    with closing(sqlite3.connect(database)) as connection, connection:
+        town, annex = (row["map_id"] for row in maps_of(database)[:2])
+        connection.execute("DELETE FROM events")
+        rows = [(50, "", "FORGOTTEN"), (51, town, "OPERATION"), (52, annex, "OPERATION"), (53, town, "OPERATION")]
+        connection.executemany("INSERT INTO events VALUES (?, 'default', ?, ?, 'op', NULL)", rows)
+        hook = (1, "default", "hook", "hash", "https://example.org", None, "[]", "secret", "ENABLED", 52, 0, 0, 1, None)
+        connection.execute(f"INSERT INTO webhooks VALUES ({', '.join('?' * len(hook))})", hook)
+
+
+def test_numbers_that_clients_hold_stay_good_when_they_begin_to_count_within_a_map(tmp_path):
+    database = unpacked(STORES / "schema-0024.zip", tmp_path) / "revisit.db"
+    of_two_maps(database)
+    migrate(database)
+    store = SqliteTransactions(database, checkpoints=True)
+    town, annex = store.read_here(lambda uow: uow.maps.find(DEFAULT_TENANT))[:2]
+
+    def following(record, after):
+        rows = store.read_here(lambda uow: uow.events.following(DEFAULT_TENANT, record.map_id, after, 10))
+        return [(row.number, row.kind) for row in rows]
+
+    assert following(town, 0) == [(50, "FORGOTTEN"), (51, "OPERATION"), (53, "OPERATION")]
+    assert following(annex, 51) == [(52, "OPERATION")]
+    (hook,) = store.read_here(lambda uow: uow.webhooks.due(10))
+    assert store.read_here(lambda uow: uow.webhooks.news(hook)).keys() == {town.map_id, annex.map_id}
+    for record in (town, annex):
+        event = EventRecord(DEFAULT_TENANT, record.map_id, "OPERATION", "x")
+        store.write(lambda uow, event=event: uow.events.record(event)).result()
+        assert following(record, 53) == [(54, "OPERATION")]
+        submaps = store.read_here(lambda uow, of=record: uow.submaps.find(DEFAULT_TENANT, map_id=of.map_id))
+        assert [one.seq for one in submaps] == [one.number for one in submaps]
+        changes = store.read_here(lambda uow, of=record: uow.changes.since(DEFAULT_TENANT, of.number, 0))
+        store.write(lambda uow, of=record: uow.changes.record_removed(of, [1])).result()
+        last = changes[-1].seq if changes else 0
+        (added,) = store.read_here(lambda uow, of=record, last=last: uow.changes.since(DEFAULT_TENANT, of.number, last))
+        assert added.seq == last + 1
+    store.close()
+    migrate(database, "0024")
+    with closing(sqlite3.connect(database)) as connection:
+        numbers = [number for (number,) in connection.execute("SELECT number FROM events ORDER BY number")]
+    assert numbers[:3] == [51, 52, 53] and len(numbers) == 5
 
 
 def test_a_store_with_a_map_in_the_form_of_the_paper_does_not_become_an_older_one(tmp_path):

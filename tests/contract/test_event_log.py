@@ -15,51 +15,71 @@ OTHER = TenantId("other")
 NOW = Instant("boot", 1_000)
 
 
+@pytest.fixture(autouse=True)
+def maps(write):
+    """The maps that something happens in: an event of another is none."""
+    write(lambda uow: [uow.maps.add(a_map(*of)) for of in (("town", TENANT), ("yard", TENANT), ("town", OTHER))])
+
+
 def note(uow, map_id="town", subject="x", tenant=TENANT):
     uow.events.record(EventRecord(tenant, map_id, "OPERATION", subject))
 
 
-def told(read, after=0, tenant=TENANT, map_id=None, limit=100):
-    return read(lambda uow: uow.events.following(tenant, after, limit, map_id))
+def told(read, after=0, tenant=TENANT, map_id="town", limit=100):
+    return read(lambda uow: uow.events.following(tenant, map_id, after, limit))
 
 
-def test_events_follow_each_other_by_number_within_their_tenant_and_map(write, read):
+def last(read, map_id="town", tenant=TENANT):
+    return read(lambda uow: uow.events.last_numbers([(tenant, map_id)])).get((tenant, map_id))
+
+
+def test_events_are_numbered_within_their_map(write, read):
     for map_id, subject, tenant in (("town", "a", TENANT), ("yard", "b", TENANT), ("town", "c", OTHER)):
         write(lambda uow, row=(map_id, subject, tenant): note(uow, *row))
     write(lambda uow: note(uow, "town", "d"))
-    assert [event.subject for event in told(read)] == ["a", "b", "d"]
-    assert [event.subject for event in told(read, map_id="town")] == ["a", "d"]
-    assert [event.subject for event in told(read, tenant=OTHER)] == ["c"]
-    first = told(read)[0]
-    assert [event.subject for event in told(read, after=first.number, limit=1)] == ["b"]
-    assert read(lambda uow: uow.events.last_number()) == told(read)[-1].number
+    assert [(event.number, event.subject) for event in told(read)] == [(1, "a"), (2, "d")]
+    assert [(event.number, event.subject) for event in told(read, map_id="yard")] == [(1, "b")]
+    assert [(event.number, event.subject) for event in told(read, tenant=OTHER)] == [(1, "c")]
+    assert [event.subject for event in told(read, after=1)] == ["d"]
+    assert [event.subject for event in told(read, limit=1)] == ["a"]
+    assert (last(read), last(read, "yard"), last(read, "elsewhere")) == (2, 1, None)
 
 
-def test_the_newest_event_of_each_map_says_where_something_happened(write, read):
-    for map_id, subject, tenant in (("town", "a", TENANT), ("yard", "b", TENANT), ("town", "c", OTHER)):
-        write(lambda uow, row=(map_id, subject, tenant): note(uow, *row))
-    seen = read(lambda uow: uow.events.last_number())
-    write(lambda uow: note(uow, "town", "d"))
-    write(lambda uow: note(uow, "town", "e", OTHER))
-    write(lambda uow: note(uow, "town", "f"))
-    assert [event.subject for event in read(lambda uow: uow.events.newest_of_maps(0))] == ["b", "e", "f"]
-    assert [event.subject for event in read(lambda uow: uow.events.newest_of_maps(seen))] == ["e", "f"]
-    assert read(lambda uow: uow.events.newest_of_maps(seen + 3)) == []
+def test_several_events_of_a_transaction_are_numbered_in_their_order(write, read):
+    def several(uow):
+        for map_id, subject in (("yard", "a"), ("town", "b"), ("yard", "c"), ("town", "d")):
+            note(uow, map_id, subject)
+
+    write(several)
+    assert [(event.number, event.subject) for event in told(read)] == [(1, "b"), (2, "d")]
+    assert [(event.number, event.subject) for event in told(read, map_id="yard")] == [(1, "a"), (2, "c")]
+
+
+def test_a_map_that_is_made_anew_goes_on_with_the_numbers_of_the_former(write, read):
+    write(lambda uow: note(uow, subject="a"))
+    write(lambda uow: uow.maps.delete(TENANT, map_id="town"))
+    assert last(read) is None
+    write(lambda uow: note(uow, subject="of no map"))
+    write(lambda uow: uow.maps.add(a_map()))
+    write(lambda uow: note(uow, subject="b"))
+    assert [(event.number, event.subject) for event in told(read, after=1)] == [(2, "b")]
+    assert last(read) == 2 and last(read, "yard") == 0
 
 
 def test_what_is_forgotten_leaves_a_sign_and_the_newest(write, read):
     for subject in "abcdef":
         write(lambda uow, subject=subject: note(uow, subject=subject))
     write(lambda uow: note(uow, subject="g", tenant=OTHER))
-    last = read(lambda uow: uow.events.last_number())
-    assert write(lambda uow: uow.events.forget(2)) == 3
-    assert [(event.kind, event.subject) for event in told(read)] == [
-        ("FORGOTTEN", ""), ("OPERATION", "e"), ("OPERATION", "f"),
+    assert write(lambda uow: uow.events.forget(2)) == 4
+    assert [(event.kind, event.subject, event.number) for event in told(read)] == [
+        ("FORGOTTEN", "", 4), ("OPERATION", "e", 5), ("OPERATION", "f", 6),
     ]  # fmt: skip
-    assert [event.kind for event in told(read, map_id="elsewhere")] == ["FORGOTTEN"]
+    assert [event.kind for event in told(read, limit=1)] == ["FORGOTTEN"]
+    assert [event.number for event in told(read, after=4)] == [5, 6]
+    assert told(read, map_id="yard") == []
     assert [event.subject for event in told(read, tenant=OTHER)] == ["g"]
     assert write(lambda uow: uow.events.forget(2)) == 0
-    assert read(lambda uow: uow.events.last_number()) == last
+    assert last(read) == 6
 
 
 def test_a_job_is_an_event_when_its_state_changes_and_not_with_each_heartbeat(write, read):
@@ -79,7 +99,6 @@ def test_a_query_that_a_client_waits_for_is_no_event(write, read):
 
 def test_a_loop_is_an_event_when_it_is_accepted_or_changes(write, read):
     def fill(uow):
-        uow.maps.add(a_map())
         uow.sessions.add(a_session())
         numbers = [uow.submaps.add(a_submap(name, ordinal=at)).number for at, name in enumerate("ab")]
         accepted = uow.loops.add(a_loop(numbers[1], numbers[0]))

@@ -31,8 +31,8 @@ def test_what_is_written_is_read_back_bit_for_bit(write, read):
     session, scan, first, second, loop = write(fill)
     assert read(lambda uow: uow.sessions.get(TENANT, "town", "monday")) == session
     assert read(lambda uow: uow.scans.get(TENANT, "town", "monday", 1)) == scan
-    assert read(lambda uow: uow.submaps.get(TENANT, "town", "monday", "a")) == first
-    assert read(lambda uow: uow.submaps.get(TENANT, "town", "monday", "b")) == second
+    assert read(lambda uow: uow.submaps.get(TENANT, "town", "monday", "a")) == replace(first, seq=1)
+    assert read(lambda uow: uow.submaps.get(TENANT, "town", "monday", "b")) == replace(second, seq=2)
     assert read(lambda uow: uow.loops.get(TENANT, "town", loop.loop_id)) == loop
 
 
@@ -277,44 +277,49 @@ def test_flags_and_failures_of_a_session_are_counted_of_this_tenant(write, read)
     assert counted(TENANT, "elsewhere") == counted(OTHER, first.session_id) == {}
 
 
-def test_the_last_number_outlives_the_submap_that_had_it(write, read):
-    assert read(lambda uow: uow.submaps.last_number(TENANT)) == 0
+def test_submaps_are_numbered_within_their_map_and_a_number_outlives_its_submap(write, read):
+    def last(tenant, map_id="town"):
+        return read(lambda uow: uow.submaps.last_seq(tenant, map_id))
+
+    assert last(TENANT) == 0
     _, _, _, second, loop = write(fill)
+    assert [one.seq for one in read(lambda uow: uow.submaps.find(TENANT))] == [1, 2]
     write(lambda uow: uow.loops.delete(TENANT, loop_id=loop.loop_id))
     write(lambda uow: uow.submaps.delete(TENANT, number=second.number))
-    assert read(lambda uow: uow.submaps.last_number(TENANT)) == second.number
-    assert read(lambda uow: uow.submaps.last_number(OTHER)) == 0
+    assert (last(TENANT), last(TENANT, "elsewhere"), last(OTHER)) == (2, 0, 0)
 
 
 def test_the_change_log_tells_additions_and_removals_in_order(write, read):
     *_, first, second, _ = write(fill)
-    one = write(lambda uow: uow.changes.record_described(TENANT, 1, first.number))
-    two = write(lambda uow: uow.changes.record_described(TENANT, 1, second.number))
-    write(lambda uow: uow.changes.record_removed(TENANT, 1, {second.number, first.number}))
-    write(lambda uow: uow.changes.record_removed(TENANT, 1, ()))
-    changes = read(lambda uow: uow.changes.since(TENANT, 1, 0))
-    three, four = (change.seq for change in changes[2:])
-    assert [change.seq for change in changes] == [one, two, three, four] == sorted({one, two, three, four})
+    town = read(lambda uow: uow.maps.get(TENANT, "town"))
+    write(lambda uow: uow.changes.record_described(town, first.number))
+    write(lambda uow: uow.changes.record_described(town, second.number))
+    assert [one.entered for one in read(lambda uow: uow.submaps.find(TENANT))] == [1, 2]
+    write(lambda uow: uow.changes.record_removed(town, {second.number, first.number}))
+    write(lambda uow: uow.changes.record_removed(town, ()))
+    changes = read(lambda uow: uow.changes.since(TENANT, town.number, 0))
+    assert [change.seq for change in changes] == [1, 2, 3, 4]
     assert [change.submap_number for change in changes[2:]] == [first.number, second.number]
     assert (changes[0].vector, changes[0].ordinal, changes[0].position_m) == (b"\x00\x00\x80?", 0, (0.1, 0.2, 0.3))
     assert changes[2].vector is changes[3].vector is None
-    assert [change.seq for change in read(lambda uow: uow.changes.since(TENANT, 1, two))] == [three, four]
-    assert [change.seq for change in read(lambda uow: uow.changes.since(TENANT, 1, one, limit=1))] == [two]
-    assert read(lambda uow: uow.changes.since(TENANT, 2, 0)) == []
-    assert read(lambda uow: uow.changes.since(OTHER, 1, 0)) == []
+    assert [change.seq for change in read(lambda uow: uow.changes.since(TENANT, town.number, 2))] == [3, 4]
+    assert [change.seq for change in read(lambda uow: uow.changes.since(TENANT, town.number, 1, limit=1))] == [2]
+    assert read(lambda uow: uow.changes.since(TENANT, town.number + 1, 0)) == []
+    assert read(lambda uow: uow.changes.since(OTHER, town.number, 0)) == []
 
 
 def test_a_submap_that_has_gone_appears_only_as_removed(write, read):
     *_, first, _, loop = write(fill)
-    write(lambda uow: uow.changes.record_described(TENANT, 1, first.number))
+    town = read(lambda uow: uow.maps.get(TENANT, "town"))
+    write(lambda uow: uow.changes.record_described(town, first.number))
 
     def remove(uow):
         uow.loops.delete(TENANT, number=loop.number)
         uow.submaps.delete(TENANT, number=first.number)
-        uow.changes.record_removed(TENANT, 1, [first.number])
+        uow.changes.record_removed(town, [first.number])
 
     write(remove)
-    assert [change.vector for change in read(lambda uow: uow.changes.since(TENANT, 1, 0))] == [None, None]
+    assert [change.vector for change in read(lambda uow: uow.changes.since(TENANT, town.number, 0))] == [None, None]
 
 
 def test_workers_are_alive_while_they_beat_in_this_boot(write, read, clock):

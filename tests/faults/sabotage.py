@@ -454,7 +454,7 @@ SABOTAGES = (
     ),
     Sabotage(
         "everyone who watches looks at the log",
-        {f"{SERVICE}features.waiting.event_tail:EventTail._poll": lambda _poll: lambda tail: tail._read_tail()},
+        {f"{SERVICE}features.waiting.event_tail:EventTail._poll": lambda _poll: lambda tail: tail._read()},
         "tests/unit/service/test_event_tail.py::test_many_who_watch_cause_one_look_at_a_time",
         quick=True,
     ),
@@ -470,11 +470,7 @@ SABOTAGES = (
     ),
     Sabotage(
         "min_seq is compared with the submaps of all tenants",
-        {
-            "tests.support.memory.repositories:MemorySubmaps.last_number": lambda _last: (
-                lambda self, _tenant: self._rows.last
-            )
-        },
+        {"tests.support.memory.repositories:MemorySubmaps.last_seq": lambda _last: lambda self, *_map: self._rows.last},
         "tests/contract/api/test_api_read_your_writes.py::"
         "test_a_tenant_without_submaps_cannot_find_out_how_many_others_have",
     ),

@@ -89,7 +89,7 @@ async def test_what_changes_while_the_audit_looks_is_no_drift(context, keeper, m
         record = uow.submaps.get(TENANT, SESSION.map_id, SESSION.session_id, submap_id)
         for end in ("query_number", "match_number"):
             uow.loops.delete(TENANT, **{end: record.number})
-        uow.changes.record_removed(TENANT, map_of(context).number, [record.number])
+        uow.changes.record_removed(map_of(context), [record.number])
         return uow.submaps.delete(TENANT, number=record.number)
 
     monkeypatch.setattr(context.index, "numbers", deleted_meanwhile)

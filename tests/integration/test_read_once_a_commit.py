@@ -125,6 +125,5 @@ async def test_a_search_that_another_one_overtakes_answers_as_that_one_does(worl
 
 
 def _removed(uow, record):
-    number = uow.maps.get(TENANT, "town").number
     uow.submaps.delete(TENANT, number=record.number)
-    uow.changes.record_removed(TENANT, number, [record.number])
+    uow.changes.record_removed(uow.maps.get(TENANT, "town"), [record.number])

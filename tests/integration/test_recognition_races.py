@@ -138,7 +138,7 @@ async def test_a_match_deleted_during_verification_makes_no_loop(world):
             def delete(uow):
                 record = uow.submaps.get(TENANT, "town", "monday", "a")
                 uow.submaps.delete(TENANT, number=record.number)
-                uow.changes.record_removed(TENANT, 1, [record.number])
+                uow.changes.record_removed(uow.maps.get(TENANT, "town"), [record.number])
 
             world.context.transactions.write(delete).result()
             return super().verify(query, match, similarity, config, initial)

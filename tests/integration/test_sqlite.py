@@ -42,7 +42,7 @@ def rows(path) -> dict[str, list[tuple]]:
 def test_the_migration_goes_up_down_and_up_on_a_filled_database(database):
     store = SqliteTransactions(database, checkpoints=True)
     store.write(fill).result()
-    store.write(lambda uow: uow.changes.record_described(TENANT, 1, 1)).result()
+    store.write(lambda uow: uow.changes.record_described(uow.maps.get(TENANT, "town"), 1)).result()
     store.close()
     filled = rows(database)
     assert all(filled[name] for name in ("maps", "robots", "sessions", "scans", "submaps", "loop_closures"))
@@ -74,7 +74,7 @@ def test_the_migrations_make_what_the_tables_cannot_say(database):
     made = dict(connection.execute("SELECT name, sql FROM sqlite_master WHERE sql IS NOT NULL"))
     connection.close()
     keyed_by_text = {table.name for table in tables.metadata.sorted_tables if "AUTOINCREMENT" not in made[table.name]}
-    assert keyed_by_text == {"workers", "tenant_turns", "last_submaps"}
+    assert keyed_by_text == {"workers", "tenant_turns", "map_counters", "webhook_positions"}
     indexes = [index for table in tables.metadata.sorted_tables for index in table.indexes]
     wanted = {index.name: index.info.get("where") for index in indexes}
     assert {name: made[name].partition(" WHERE ")[2] or None for name in wanted} == wanted

@@ -302,6 +302,55 @@ async def test_a_webhook_of_one_map_is_not_told_of_others(world):
         await sending.close()
 
 
+async def test_a_webhook_of_all_maps_goes_on_in_each_of_them_where_it_was(tmp_path):
+    """Events of two maps have the same numbers; the second map is made later, and the service starts anew."""
+    world = sqlite_world(tmp_path, webhook_private_networks=True)
+    await open_session(world)
+    await post(world, 1)
+    with receiver(answers=[204, 500]) as there:
+        secret = await hooked(world, there.url)
+        await post(world, 30)
+        sending = delivering(world)
+        await once(sending)
+        other = SESSION.__class__("yard", "monday")
+        await open_session(world, other)
+        await world.use_cases.posting.post(TENANT, submap("y", 60, other))
+        await post(world, 90)
+        await once(sending)  # in vain
+        await sending.close()
+        world.context.transactions.close()
+        world = sqlite_world(tmp_path, clock=world.clock, webhook_private_networks=True)
+        world.clock.ms += 10_000_000
+        sending = delivering(world)
+        await once(sending)
+        await once(sending)
+        refused = there.requests.pop(1)
+        told = [(event.map, event.number) for event in there.events(secret)]
+        await sending.close()
+
+    def logged(uow):
+        return [(f"maps/{name}", uow.events.following(TENANT, name, 0, 100)) for name in ("town", "yard")]
+
+    events = {
+        (name, row.number): row for name, rows in world.context.transactions.read(logged).result() for row in rows
+    }
+    assert len(told) == len(set(told)) and set(told) <= set(events)
+    assert {events[one].subject for one in told} == {row.subject for row in events.values()} - first_operation(events)
+    assert ids_of(refused) == ids_of(there.requests[1])
+    assert len({ids_of(one) for one in there.requests}) == len(there.requests)
+    world.context.transactions.close()
+
+
+def first_operation(events) -> set[str]:
+    """The operation that had ended before the webhook was there."""
+    return {events["maps/town", 1].subject}
+
+
+def ids_of(request) -> str:
+    headers, _ = request
+    return {name.lower(): value for name, value in headers.items()}["webhook-id"]
+
+
 async def test_the_log_of_deliveries_is_bounded(world, monkeypatch):
     monkeypatch.setattr(deliveries, "KEPT", 3)
     await open_session(world)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import asyncio
 import threading
+import time
 from dataclasses import replace
 
 import numpy as np
@@ -42,15 +44,21 @@ def drives(count: int, submaps: int) -> dict[SessionKey, np.ndarray]:
     }
 
 
-async def post_drives(world: World, poses: dict[SessionKey, np.ndarray]) -> None:
-    """Create the map and the sessions, and post the submaps: of each drive one after the other, of all in turn."""
+async def post_drives(world: World, poses: dict[SessionKey, np.ndarray], every_s: float = 0.0) -> None:
+    """Create the map and the sessions, and post the submaps: of each drive one after the other, of all in turn.
+
+    One comes `every_s` seconds, if the store is as fast.
+    """
     first, *others = poses
     await open_session(world, first)
     for session in others:
         await world.use_cases.sessions.create(TENANT, CreateSession(session.map_id, session.session_id))
+    due_s = time.monotonic()
     for number in range(len(poses[first])):
         for session, of_drive in poses.items():
             key = SubmapKey(session.map_id, session.session_id, f"s{number:04d}")
+            due_s += every_s
+            await asyncio.sleep(max(0.0, due_s - time.monotonic()))
             await world.use_cases.posting.post(TENANT, PostSubmap(key, of_drive[number], 1 + number, cloud(1, 100)))
 
 

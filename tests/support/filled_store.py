@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from sqlalchemy import insert
+from sqlalchemy import insert, update
 
 from lab.distractors import made_up_places
 from revisit.service.engines.local.files.blobs import FileBlobStore
@@ -86,7 +86,11 @@ def _chained(records) -> list[dict]:
 
 def _add(uow, map_number: int, records, loops: list[dict]) -> None:
     change = {"tenant": TENANT, "map_number": map_number, "kind": "DESCRIBED"}
-    uow.connection.execute(insert(tables.submaps), [asdict(record) for record in records])
-    uow.connection.execute(insert(tables.index_changes), [{**change, "submap_number": r.number} for r in records])
+    numbered = [{**asdict(record), "seq": record.number, "entered": record.number} for record in records]
+    uow.connection.execute(insert(tables.submaps), numbered)
+    changes = [{**change, "submap_number": record.number, "seq": record.number} for record in records]
+    uow.connection.execute(insert(tables.index_changes), changes)
+    last = {"changes": records[-1].number, "submaps": records[-1].number}
+    uow.connection.execute(update(tables.map_counters).values(last))
     if loops:
         uow.connection.execute(insert(tables.loops), loops)

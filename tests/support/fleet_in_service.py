@@ -104,7 +104,7 @@ def fleet_in(
 
 
 def _store(uow, made: Fleet, map_id: str, tenant: TenantId, blobs: BlobStore | None = None) -> None:
-    record = uow.maps.add(MapRecord(tenant, map_id, "hash", "", 10.0, 5.0, None, "fake-1", 1))
+    own = uow.maps.add(MapRecord(tenant, map_id, "hash", "", 10.0, 5.0, None, "fake-1", 1))
     submaps: dict[tuple[str, int], SubmapRecord] = {}
     for trajectory in made.graph.trajectories:
         record = SessionRecord(
@@ -128,7 +128,7 @@ def _store(uow, made: Fleet, map_id: str, tenant: TenantId, blobs: BlobStore | N
                 submap = replace(submap, **_described(blobs, tenant, made.truth[trajectory.session][ordinal]))
             submaps[trajectory.session, ordinal] = uow.submaps.add(submap)
             if blobs is not None:
-                uow.changes.record_described(tenant, record.number, submaps[trajectory.session, ordinal].number)
+                uow.changes.record_described(own, submaps[trajectory.session, ordinal].number)
     for edge in made.graph.loops:
         add_loop(uow, loop_record(edge, submaps), Change(LoopEventKind.VERIFIED, 1))
 

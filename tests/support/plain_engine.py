@@ -10,6 +10,7 @@ from sqlalchemy import Connection, Engine, MetaData, Table, create_engine, text
 from sqlalchemy.pool import StaticPool
 
 from revisit.service.engines.local.clock import SystemClock
+from revisit.service.engines.sql.map_numbers import numbered
 from revisit.service.engines.sql.tables import metadata
 from revisit.service.engines.sql.unit_of_work import SqlUnitOfWork
 from revisit.service.ports.clock import Clock
@@ -71,7 +72,7 @@ class PlainTransactions:
     @contextmanager
     def transaction(self):
         """One unit of work."""
-        with self._lock, self.database.begin() as connection:
+        with self._lock, self.database.begin() as connection, numbered(connection):
             yield SqlUnitOfWork(connection, self.engine, self._lease_ms, self._clock)
 
     def version(self) -> int | None:

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
+from functools import partial
 from typing import TypeVar
 
 from sqlalchemy import Connection, Engine
@@ -20,6 +21,7 @@ from revisit.service.engines.group_commit import GroupCommitter, Savepoints
 from revisit.service.engines.postgres.connections import READERS, reader_engine, writer_engine
 from revisit.service.engines.postgres.engine import PostgresEngine, server_ms
 from revisit.service.engines.postgres.failures import is_disturbed, translated
+from revisit.service.engines.sql.map_numbers import noted, numbered
 from revisit.service.engines.sql.unit_of_work import SqlUnitOfWork
 from revisit.service.failpoints import failpoint
 from revisit.service.ports.clock import Clock
@@ -50,9 +52,7 @@ class PostgresTransactions:
 
     def write(self, work: Callable[[UnitOfWork], T], *, alone: bool = False, durable: bool = True) -> Future[T]:
         """See `Transactions`."""
-        return self._writing.submit(
-            lambda connection: work(self._unit_of_work(connection)), alone=alone, durable=durable
-        )
+        return self._writing.submit(partial(self._noted, work=work), alone=alone, durable=durable)
 
     def read(self, work: Callable[[UnitOfWork], T]) -> Future[T]:
         """See `Transactions`."""
@@ -78,9 +78,14 @@ class PostgresTransactions:
     def _transaction(self) -> Iterator[Connection]:
         with translated():
             with _begun(self._writer) as connection:
-                yield connection
+                # Counters are waited for: whoever has them waits for nothing that is held here.
+                with numbered(connection, lambda: connection.exec_driver_sql("SET LOCAL lock_timeout TO DEFAULT")):
+                    yield connection
                 failpoint("commit.before")
             failpoint("commit.after")
+
+    def _noted(self, connection: Connection, work: Callable[[UnitOfWork], T]) -> T:
+        return noted(connection, lambda: work(self._unit_of_work(connection)))
 
     def _unit_of_work(self, connection: Connection) -> UnitOfWork:
         return SqlUnitOfWork(connection, self._engine, self._lease_ms, self._clock)

@@ -6,13 +6,13 @@ from collections.abc import Collection, Sequence
 from functools import cache
 from typing import Any
 
-from sqlalchemy import Connection, Select, bindparam, insert, select
+from sqlalchemy import Connection, Select, bindparam, select
 
 from revisit.service.domain.identity import TenantId
+from revisit.service.domain.records import MapRecord
 from revisit.service.engines.sql import tables
 from revisit.service.engines.sql.checksums import sound_descriptor
-from revisit.service.engines.sql.engine import DatabaseEngine
-from revisit.service.engines.sql.repositories import changed_row, new_row
+from revisit.service.engines.sql.map_numbers import DESCRIBED, note_changes
 from revisit.service.ports.index import IndexChange
 
 SESSION_REMOVED = "SESSION_REMOVED"
@@ -22,32 +22,26 @@ SESSION_REMOVED = "SESSION_REMOVED"
 class SqlChangeLog:
     """`ChangeLog`."""
 
-    def __init__(self, connection: Connection, engine: DatabaseEngine) -> None:
-        """All statements go through `connection`, a connection of `engine`."""
+    def __init__(self, connection: Connection) -> None:
+        """All statements go through `connection`."""
         self._connection = connection
-        self._engine = engine
 
-    def record_described(self, tenant: TenantId, map_number: int, submap_number: int) -> int:
+    def record_described(self, record: MapRecord, submap_number: int) -> None:
         """See `ChangeLog`."""
-        self._engine.number_in_commit_order(self._connection, tables.index_changes)
-        row = _change_row(tenant, map_number, submap_number, "DESCRIBED")
-        seq = int(self._connection.execute(new_row(tables.index_changes), row).scalar_one())
-        entered = {"its_number": submap_number, "its_tenant": tenant, "entered": seq}
-        self._connection.execute(changed_row(tables.submaps), entered)
-        return seq
+        self._note(record, DESCRIBED, [submap_number])
 
-    def record_removed(self, tenant: TenantId, map_number: int, submap_numbers: Collection[int]) -> None:
+    def record_removed(self, record: MapRecord, submap_numbers: Collection[int]) -> None:
         """See `ChangeLog`."""
-        rows = [_change_row(tenant, map_number, number, "REMOVED") for number in sorted(submap_numbers)]
-        if rows:
-            self._engine.number_in_commit_order(self._connection, tables.index_changes)
-            self._connection.execute(insert(tables.index_changes), rows)
+        self._note(record, "REMOVED", sorted(submap_numbers))
 
-    def record_session_removed(self, tenant: TenantId, map_number: int, session_number: int) -> None:
+    def record_session_removed(self, record: MapRecord, session_number: int) -> None:
         """See `ChangeLog`."""
-        self._engine.number_in_commit_order(self._connection, tables.index_changes)
-        row = _change_row(tenant, map_number, session_number, SESSION_REMOVED)
-        self._connection.execute(insert(tables.index_changes), row)
+        self._note(record, SESSION_REMOVED, [session_number])
+
+    def _note(self, record: MapRecord, kind: str, numbers: Sequence[int]) -> None:
+        its = {"tenant": record.tenant, "map_number": record.number, "kind": kind}
+        rows = [{**its, "submap_number": number} for number in numbers]
+        note_changes(self._connection, record.tenant, record.map_id, rows)
 
     def since(self, tenant: TenantId, map_number: int, seq: int, limit: int | None = None) -> list[IndexChange]:
         """See `ChangeLog`."""
@@ -69,10 +63,6 @@ def _changes_since(*, limited: bool) -> Select[Any]:
         .order_by(changes.seq)
     )
     return since.limit(bindparam("at_most")) if limited else since
-
-
-def _change_row(tenant: TenantId, map_number: int, submap_number: int, kind: str) -> dict[str, Any]:
-    return {"tenant": tenant, "map_number": map_number, "submap_number": submap_number, "kind": kind}
 
 
 def _change(row: Sequence[Any]) -> IndexChange:

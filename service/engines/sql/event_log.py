@@ -2,79 +2,66 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from functools import cache
 from typing import Any
 
-from sqlalchemy import Connection, Select, bindparam, delete, func, or_, select, true, update
+from sqlalchemy import Connection, Select, bindparam, delete, func, select, update
 
-from revisit.service.domain.events import EventRecord
+from revisit.service.domain.events import EventRecord, forgotten_until
 from revisit.service.domain.identity import TenantId
-from revisit.service.domain.states import EventKind
 from revisit.service.engines.sql import tables
-from revisit.service.engines.sql.engine import DatabaseEngine
-from revisit.service.engines.sql.repositories import column_values, new_row
+from revisit.service.engines.sql.map_counters import forgotten_events, last_events
+from revisit.service.engines.sql.map_numbers import note_event
 
 
 class SqlEventLog:
     """`EventLog`."""
 
-    def __init__(self, connection: Connection, engine: DatabaseEngine) -> None:
-        """All statements go through `connection`, a connection of `engine`."""
+    def __init__(self, connection: Connection) -> None:
+        """All statements go through `connection`."""
         self._connection = connection
-        self._engine = engine
 
     def record(self, event: EventRecord) -> None:
         """See `EventLog`."""
-        self._engine.number_in_commit_order(self._connection, tables.events)
-        row = column_values(event)
-        row.pop("number")
-        self._connection.execute(new_row(tables.events), row)
+        row = {name: getattr(event, name) for name in ("tenant", "map_id", "kind", "subject")}
+        note_event(self._connection, event.tenant, event.map_id, row)
 
-    def following(self, tenant: TenantId, number: int, limit: int, map_id: str | None = None) -> list[EventRecord]:
+    def following(self, tenant: TenantId, map_id: str, number: int, limit: int) -> list[EventRecord]:
         """See `EventLog`."""
-        asked = {"its_tenant": tenant, "seen": number, **({} if map_id is None else {"its_map": map_id})}
-        rows = self._connection.execute(_following(map_id is not None).limit(limit), asked)
-        return [EventRecord(**row._mapping) for row in rows]
+        forgotten = forgotten_events(self._connection, tenant, map_id)
+        asked = {"its_tenant": tenant, "its_map": map_id, "seen": max(number, forgotten), "at_most": limit}
+        sign = [forgotten_until(tenant, map_id, forgotten)] if number < forgotten else []
+        rows = self._connection.execute(_following(), {**asked, "at_most": limit - len(sign)})
+        return sign + [EventRecord(**row._mapping) for row in rows]
 
-    def newest_of_maps(self, number: int) -> list[EventRecord]:
+    def last_numbers(self, maps: Collection[tuple[TenantId, str]]) -> dict[tuple[TenantId, str], int]:
         """See `EventLog`."""
-        rows = self._connection.execute(_newest_of_maps(), {"seen": number})
-        return [EventRecord(**row._mapping) for row in rows]
-
-    def last_number(self) -> int:
-        """See `EventLog`."""
-        return self._engine.last_number(self._connection, tables.events)
+        return last_events(self._connection, maps)
 
     def forget(self, kept: int) -> int:
         """See `EventLog`."""
         events = tables.events.c
-        crowded = select(events.tenant).group_by(events.tenant).having(func.count() > kept + 1)
+        crowded = select(events.tenant).group_by(events.tenant).having(func.count() > kept)
         return sum(self._forget_of(tenant, kept) for tenant in self._connection.execute(crowded).scalars().all())
 
     def _forget_of(self, tenant: TenantId, kept: int) -> int:
-        events = tables.events.c
+        events, counters = tables.events.c, tables.map_counters
         own = events.tenant == tenant
         last = select(events.number).where(own).order_by(events.number.desc()).offset(kept).limit(1)
-        cut = self._connection.execute(last).scalar_one()
-        gone = self._connection.execute(delete(tables.events).where(own, events.number < cut)).rowcount
-        stands_for = {"kind": EventKind.FORGOTTEN.value, "map_id": "", "subject": ""}
-        self._connection.execute(update(tables.events).where(events.number == cut).values(stands_for))
-        return gone
+        old = events.number <= self._connection.execute(last).scalar_one()
+        newest = select(events.map_id, func.max(events.seq)).where(own, old).group_by(events.map_id)
+        for map_id, seq in self._connection.execute(newest.order_by(events.map_id)).all():
+            of_map = update(counters).where(counters.c.tenant == tenant, counters.c.map_id == map_id)
+            self._connection.execute(of_map.values(forgotten=seq))
+        return self._connection.execute(delete(tables.events).where(own, old)).rowcount
 
 
 @cache
-def _newest_of_maps() -> Select[Any]:
-    """Takes `seen`."""
+def _following() -> Select[Any]:
+    """The next `at_most` events of map `its_map` of `its_tenant` above number `seen`."""
     events = tables.events.c
-    newest = select(func.max(events.number)).where(events.number > bindparam("seen"))
-    of_maps = newest.group_by(events.tenant, events.map_id)
-    return select(tables.events).where(events.number.in_(of_maps)).order_by(events.number)
-
-
-@cache
-def _following(of_map: bool) -> Select[Any]:
-    """Takes `its_tenant`, `seen` and, with `of_map`, `its_map`."""
-    events = tables.events.c
-    wanted = or_(events.map_id == bindparam("its_map"), events.map_id == "") if of_map else true()
-    its = events.tenant == bindparam("its_tenant")
-    return select(tables.events).where(its, wanted, events.number > bindparam("seen")).order_by(events.number)
+    columns = (events.tenant, events.map_id, events.kind, events.subject, events.seq.label("number"))
+    its = (events.tenant == bindparam("its_tenant"), events.map_id == bindparam("its_map"))
+    query = select(*columns).where(*its, events.seq > bindparam("seen")).order_by(events.seq)
+    return query.limit(bindparam("at_most"))

@@ -47,6 +47,7 @@ from revisit.service.domain.states import SubmapState
 from revisit.service.engines.sql import tables
 from revisit.service.engines.sql.checksums import sound_descriptor
 from revisit.service.engines.sql.engine import DatabaseEngine
+from revisit.service.engines.sql.map_numbers import note_submap
 from revisit.service.engines.sql.presence import present
 from revisit.service.ports.repositories import FoundSubmap, PathPoint, PlacedSubmap
 
@@ -175,7 +176,7 @@ class SqlRepository(Generic[R]):
     def delete(self, tenant: TenantId, **equals: Scalar) -> int:
         """See `Repository`."""
         asked = of_tenant(tenant, equals)
-        return self._connection.execute(delete(self._table).where(_matches(self._table, asked)), asked).rowcount
+        return self._connection.execute(delete(self._table).where(matches(self._table, asked)), asked).rowcount
 
     def some(self, tenant: TenantId, limit: int, **equals: Scalar) -> list[R]:
         """See `Repository`."""
@@ -198,7 +199,7 @@ class SqlRepository(Generic[R]):
 
     def _where(self, asked: Asked) -> ColumnElement[bool]:
         """Whether a row matches and is visible."""
-        return and_(_matches(self._table, asked), seen(self._table, self._sees_all))
+        return and_(matches(self._table, asked), seen(self._table, self._sees_all))
 
     def _found(self, asked: Asked, after: int, limit: int | None) -> list[R]:
         query = _rows_after(self._table, self._sees_all, *_given_and_absent(asked), limited=limit is not None)
@@ -238,13 +239,9 @@ class SqlSubmaps(SqlRepository[SubmapRecord]):
     """`SubmapRepository`."""
 
     def add(self, record: SubmapRecord) -> SubmapRecord:
-        """See `Repository`; the number is noted for `last_number`."""
+        """See `Repository`; its `seq` is given at the end of the transaction."""
         added = super().add(record)
-        later = {"its_tenant": added.tenant, "its_number": added.number}
-        # No upsert, which is not standard SQL: the transaction holds the lock of the writers.
-        if self._connection.execute(_later_number(), later).rowcount == 0:
-            first = {"tenant": added.tenant, "number": added.number}
-            self._connection.execute(insert(tables.last_submaps), first)
+        note_submap(self._connection, TenantId(added.tenant), added.map_id, added.number)
         return added
 
     def _of(self, row: Row[Any]) -> SubmapRecord:
@@ -253,9 +250,11 @@ class SqlSubmaps(SqlRepository[SubmapRecord]):
         descriptor = sound_descriptor(record.number, record.descriptor, row.checksum)
         return record if descriptor is record.descriptor else dataclasses.replace(record, descriptor=descriptor)
 
-    def last_number(self, tenant: TenantId) -> int:
+    def last_seq(self, tenant: TenantId, map_id: str) -> int:
         """See `SubmapRepository`."""
-        return int(self._connection.execute(_last_number(), {"tenant": tenant}).scalar() or 0)
+        counters = tables.map_counters.c
+        query = select(counters.submaps).where(counters.tenant == tenant, counters.map_id == map_id)
+        return int(self._connection.execute(query).scalar() or 0)
 
     def points_of(self, tenant: TenantId) -> int:
         """See `SubmapRepository`."""
@@ -297,7 +296,7 @@ class SqlSubmaps(SqlRepository[SubmapRecord]):
         return self._first(of_tenant(tenant, {"map_id": map_id}), text(tables.UNSEARCHED))
 
     def _first(self, asked: Asked, *further: TextClause) -> int | None:
-        query = select(func.min(tables.submaps.c.number)).where(self._where(asked), *further)
+        query = select(func.min(tables.submaps.c.seq)).where(self._where(asked), *further)
         first: int | None = self._connection.execute(query, asked).scalar_one()
         return first
 
@@ -384,19 +383,6 @@ def _have_numbers(table: Table) -> ColumnElement[bool]:
 
 
 @cache
-def _later_number() -> Update:
-    """Makes `its_number` the last number of tenant `its_tenant`."""
-    last = tables.last_submaps
-    return update(last).where(last.c.tenant == bindparam("its_tenant")).values(number=bindparam("its_number"))
-
-
-@cache
-def _last_number() -> Select[int]:
-    last = tables.last_submaps.c
-    return select(last.number).where(last.tenant == bindparam("tenant"))
-
-
-@cache
 def _rows_where(table: Table, sees_all: bool, given: tuple[str, ...], absent: tuple[str, ...]) -> Select[Any]:
     return select(table).where(_has(table, given, absent), seen(table, sees_all))
 
@@ -443,7 +429,7 @@ def seen(table: Table, sees_all: bool) -> ColumnElement[bool]:
     return true() if sees_all else present(table)
 
 
-def _matches(table: Table, asked: Asked) -> ColumnElement[bool]:
+def matches(table: Table, asked: Asked) -> ColumnElement[bool]:
     """Condition of the rows that match."""
     return _has(table, *_given_and_absent(asked))
 

@@ -198,6 +198,7 @@ submaps = _numbered(
     Column("entered", BigInteger, nullable=False, server_default="0"),
     Column("map_version", BigInteger, nullable=False, server_default="0"),
     Column("searched", Boolean, nullable=False, server_default="1"),
+    Column("seq", BigInteger, nullable=False, server_default="0"),
     # No field of the record: the engine keeps it, if it keeps any (see `checksums`).
     _integer("checksum", nullable=True),
     ForeignKeyConstraint(
@@ -414,11 +415,13 @@ unreferenced_blobs = Table(
 index_changes = Table(
     "index_changes",
     metadata,
-    Column("seq", Integer, primary_key=True, autoincrement=True),
+    Column("number", Integer, primary_key=True, autoincrement=True),
     Column("tenant", String(64), nullable=False),
     Column("map_number", Integer, nullable=False),
     Column("submap_number", Integer, nullable=False),
     Column("kind", String(16), nullable=False),
+    # Within the map, as in the two tables below (see `map_numbers`).
+    Column("seq", BigInteger, nullable=False, server_default="0"),
     Index(None, "tenant", "map_number", "seq"),
 )
 
@@ -430,7 +433,19 @@ events = Table(
     _text("map_id"),
     _text("kind", length=16),
     _text("subject"),
-    Index(None, "tenant", "number"),
+    Column("seq", BigInteger, nullable=False, server_default="0"),
+    Index(None, "tenant", "map_id", "seq"),
+)
+
+map_counters = Table(
+    "map_counters",
+    metadata,
+    Column("tenant", String(64), primary_key=True),
+    Column("map_id", String(64), primary_key=True),
+    _integer("changes"),
+    _integer("events"),
+    _integer("submaps"),
+    _integer("forgotten"),
 )
 
 webhooks = _numbered(
@@ -447,6 +462,16 @@ webhooks = _numbered(
     _integer("failures"),
     _integer("due_at_ns"),
     _integer("created_at_ns"),
+)
+
+webhook_positions = Table(
+    "webhook_positions",
+    metadata,
+    Column("webhook_number", BigInteger, primary_key=True, autoincrement=False),
+    Column("map_id", String(64), primary_key=True),
+    Column("tenant", String(64), nullable=False),
+    _integer("told"),
+    Index(None, "tenant", "map_id"),
 )
 
 webhook_deliveries = Table(
@@ -492,11 +517,4 @@ tenant_turns = Table(
     Column("tenant", String(64), primary_key=True),
     Column("started_ms", BigInteger, nullable=False),
     Column("spent_ms", BigInteger, nullable=False),
-)
-
-last_submaps = Table(
-    "last_submaps",
-    metadata,
-    Column("tenant", String(64), primary_key=True),
-    Column("number", BigInteger, nullable=False),
 )

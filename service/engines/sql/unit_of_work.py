@@ -44,9 +44,11 @@ from revisit.service.engines.sql.engine import DatabaseEngine
 from revisit.service.engines.sql.event_log import SqlEventLog
 from revisit.service.engines.sql.jobs import SqlJobs
 from revisit.service.engines.sql.loops import SqlLoops
+from revisit.service.engines.sql.map_counters import SqlMaps
 from revisit.service.engines.sql.repositories import SqlRepository, SqlScans, SqlSubmaps
 from revisit.service.engines.sql.search_processes import SqlSearchProcesses
 from revisit.service.engines.sql.turns import SqlTenantTurns
+from revisit.service.engines.sql.webhooks import SqlWebhooks
 from revisit.service.engines.sql.worker_log import SqlWorkerLog
 from revisit.service.ports.clock import Clock
 
@@ -96,7 +98,7 @@ class SqlUnitOfWork:
     sees_all: bool = False
     """Whether rows under deletion are visible."""
 
-    maps = stored(tables.maps, MapRecord)
+    maps = Stored(SqlMaps, tables.maps, MapRecord)
     """Maps by (map_id)."""
     robots = stored(tables.robots, RobotRecord)
     """Robots by (robot_id)."""
@@ -126,7 +128,7 @@ class SqlUnitOfWork:
     """Versions of maps as files by (map_id, version)."""
     jobs = Stored(SqlJobs, tables.jobs, JobRecord, on_job_change)
     """Jobs by (operation_id)."""
-    webhooks = stored(tables.webhooks, WebhookRecord)
+    webhooks = Stored(SqlWebhooks, tables.webhooks, WebhookRecord)
     """Webhooks by (webhook_id)."""
     webhook_deliveries = stored(tables.webhook_deliveries, DeliveryRecord)
     """Attempts to deliver by (number)."""
@@ -149,12 +151,12 @@ class SqlUnitOfWork:
     @cached_property
     def changes(self) -> SqlChangeLog:
         """The change log of the maps' indexes."""
-        return SqlChangeLog(self.connection, self.engine)
+        return SqlChangeLog(self.connection)
 
     @cached_property
     def events(self) -> SqlEventLog:
         """The event log of the maps."""
-        return SqlEventLog(self.connection, self.engine)
+        return SqlEventLog(self.connection)
 
     @cached_property
     def workers(self) -> SqlWorkerLog:

@@ -62,16 +62,15 @@ class Corrections:
         Those ahead of a version come as they are made. Of those that follow fast, the newest counts. Ends when the
         service stops. Raises NotFound for the map and the session.
         """
-        early, happened = dict[str, int](), False
+        early, before, last = dict[str, int](), 0, 0
         while not self._context.admission.stopping:
-            looked_at = self._tail.last
             known = partial(_newer, tenant=tenant, map_id=map_id, after=after, session_id=session_id, early=early)
             after, corrections = await self._context.storage.read(known)
             for correction in corrections:
                 early[correction.session.session_id] = correction.early_loops
                 yield correction
-            at_most_s = SOON_S if happened else AGAIN_S
-            happened = await self._tail.beyond(tenant, map_id, looked_at, at_most_s)
+            at_most_s = SOON_S if last > before else AGAIN_S
+            before, last = last, await self._tail.beyond(tenant, map_id, last, at_most_s)
 
 
 def _correction(uow: UnitOfWork, tenant: TenantId, key: SessionKey) -> CorrectionView:

@@ -29,7 +29,7 @@ def delete_submap(uow: UnitOfWork, record: MapRecord, submap: SubmapRecord, at_n
     forget_submap(uow, submap.tenant, submap.map_id, submap.session_id, submap.number)
     note_edit(uow, submap.tenant, submap.map_id)
     if submap.state == SubmapState.DESCRIBED:
-        uow.changes.record_removed(submap.tenant, record.number, [submap.number])
+        uow.changes.record_removed(record, [submap.number])
     drop_jobs(uow, [submap], at_ns)
     uow.submaps.delete(submap.tenant, number=submap.number)
     uow.blobs.release(submap.tenant, blobs_of_submap(submap))
@@ -39,7 +39,7 @@ def mark_session(uow: UnitOfWork, record: MapRecord, session: SessionRecord, at_
     """Nobody sees a session of a map any more, with its scans, its submaps and their loop closures."""
     tenant, map_id, session_id = session.tenant, session.map_id, session.session_id
     forget_made(uow, tenant, map_id, session_id)
-    uow.changes.record_session_removed(tenant, record.number, session.number)
+    uow.changes.record_session_removed(record, session.number)
     note_edit(uow, tenant, map_id)
     uow.deletions.add(DeletionRecord(tenant, map_id, session_id, at_ns))
 

@@ -75,7 +75,7 @@ class Events:
         yield EventView(seen, EventKind.OPENED, map_id)
         if after is not None and after > last:
             # Never given out: the client has seen events of a database that was replaced by an older one since.
-            yield EventView(seen, EventKind.FORGOTTEN, "")
+            yield EventView(seen, EventKind.FORGOTTEN, map_id)
         silent_s = 0.0
         while not self.context.admission.stopping:
             if last > seen:
@@ -91,8 +91,7 @@ class Events:
                         yield event
                 continue
             began_s = asyncio.get_running_loop().time()
-            await self.tail.beyond(tenant, map_id, seen, min(AGAIN_S, self.heartbeat_s - silent_s))
-            last = max(last, self.tail.last)
+            last = await self.tail.beyond(tenant, map_id, seen, min(AGAIN_S, self.heartbeat_s - silent_s))
             silent_s += asyncio.get_running_loop().time() - began_s
             if silent_s >= self.heartbeat_s:
                 silent_s = 0.0
@@ -101,12 +100,12 @@ class Events:
 
 def _last(uow: UnitOfWork, tenant: TenantId, map_id: str) -> int:
     require_map(uow, tenant, map_id)
-    return uow.events.last_number()
+    return uow.events.last_numbers([(tenant, map_id)])[tenant, map_id]
 
 
 def _page(uow: UnitOfWork, tenant: TenantId, map_id: str, seen: int, last: int) -> EventPage:
     require_map(uow, tenant, map_id)
-    rows = uow.events.following(tenant, seen, BATCH, map_id)
+    rows = uow.events.following(tenant, map_id, seen, BATCH)
     return EventPage(events_of(uow, rows), last if len(rows) < BATCH else rows[-1].number)
 
 

@@ -36,7 +36,7 @@ from revisit.service.features.ingest.clouds import (
     reading_points,
     unpack_cloud,
 )
-from revisit.service.features.ingest.posting import PostedSubmap
+from revisit.service.features.ingest.posting import PostedSubmap, with_seq
 from revisit.service.features.ingest.rules import ScanRange, add_window_submap
 from revisit.service.features.resources.call_context import CallContext
 from revisit.service.features.waiting.shared_poll import SharedPoll
@@ -230,7 +230,9 @@ class Scans:
         ack = await self._context.storage.write_naming(insert, put)
         self._context.admission.note_stored(tenant, len(accepted.scan.points))
         failpoint("ingest.after_commit")
-        return ack
+        if ack.submap is None:
+            return ack
+        return replace(ack, submap=await with_seq(self._context.storage, tenant, ack.submap))
 
     def _insert(self, uow: UnitOfWork, tenant: TenantId, command: AppendScan, accepted: _Accepted) -> ScanAck:
         session = require_session(uow, tenant, command.session)

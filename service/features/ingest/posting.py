@@ -38,6 +38,7 @@ from revisit.service.features.resources.call_context import CallContext
 from revisit.service.features.resources.views import SubmapView
 from revisit.service.ports.blobs import CLOUD_BLOB
 from revisit.service.ports.storage import (
+    Storage,
     require_active,
     require_job,
     require_same_content,
@@ -109,7 +110,7 @@ class SubmapPosting:
         posted = await self._context.storage.write_naming(partial(self._insert, accepted=accepted), put)
         self._context.admission.note_stored(tenant, accepted.row.point_count)
         failpoint("ingest.after_commit")
-        return posted
+        return await with_seq(self._context.storage, tenant, posted)
 
     def _insert(self, uow: UnitOfWork, accepted: _Accepted) -> PostedSubmap:
         row = accepted.row
@@ -139,6 +140,13 @@ def posted_submap(uow: UnitOfWork, record: SubmapRecord, *, replay: bool, report
     """The answer to a post. Raises NotFound where the operation's record is gone."""
     job = require_job(uow, record.tenant, record.operation_id)
     return PostedSubmap(SubmapView.of(record), job, replay, report)
+
+
+async def with_seq(storage: Storage, tenant: TenantId, posted: PostedSubmap) -> PostedSubmap:
+    """The answer to a post that is committed: its submap has got its number within the map with that."""
+    number = posted.submap.number
+    stored = await storage.read(lambda uow: uow.submaps.numbered(tenant, [number]))
+    return replace(posted, submap=SubmapView.of(stored.get(number, posted.submap)))
 
 
 def _replayed(uow: UnitOfWork, row: SubmapRecord) -> PostedSubmap | None:

@@ -80,15 +80,14 @@ class Loops:
 
         Ends when the service stops. Raises NotFound for the map and the session.
         """
-        seen = min(after, _LAST_NUMBER)
+        seen, happened = min(after, _LAST_NUMBER), 0
         while not self._context.admission.stopping:
-            looked_at = self._tail.last
             views = await self._accepted_after(tenant, map_id, seen, session_id)
             for view in views:
                 seen = view.number
                 yield view
             if not views:
-                await self._tail.beyond(tenant, map_id, looked_at)
+                happened = await self._tail.beyond(tenant, map_id, happened)
 
     async def _accepted_after(
         self, tenant: TenantId, map_id: str, after: int, session_id: str | None

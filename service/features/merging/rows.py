@@ -129,7 +129,7 @@ class MergeCommit:
                 submap, map_id=of.map_id, session_id=of.session_id, session_number=of.number, searched=True, number=0
             )
             copies.submaps[submap.number] = uow.submaps.add(own).number
-            uow.changes.record_described(target.tenant, target.number, copies.submaps[submap.number])
+            uow.changes.record_described(target, copies.submaps[submap.number])
 
     def _copy_loop(self, uow: UnitOfWork, target: MapRecord, loop: LoopRecord, copies: _Copies) -> LoopRecord:
         query, match = copies.submaps[loop.query_number], copies.submaps[loop.match_number]

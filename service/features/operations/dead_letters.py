@@ -71,7 +71,7 @@ def mark_subject_failed(uow: UnitOfWork, job: JobRecord, code: str, message: str
         return
     if submap.state == SubmapState.DESCRIBED:
         record = require_map(uow, submap.tenant, submap.map_id)
-        uow.changes.record_removed(submap.tenant, record.number, [submap.number])
+        uow.changes.record_removed(record, [submap.number])
     failed = replace(submap, state=SubmapState.FAILED.value, failure_code=code, failure_message=message)
     uow.submaps.replace(replace(failed, descriptor=None, entered=0, searched=True))
 

@@ -163,11 +163,11 @@ class Reembedding:
         for one, row in zip(renewed, rows, strict=True):
             uow.submaps.replace(row)
             if one.description is None:
-                uow.changes.record_removed(row.tenant, record.number, [row.number])
+                uow.changes.record_removed(record, [row.number])
             else:
                 uow.blobs.refer(row.tenant, blobs_of_submap(row))
                 uow.blobs.release(row.tenant, blobs_of_submap(one.submap) - blobs_of_submap(row))
-                uow.changes.record_described(row.tenant, record.number, row.number)
+                uow.changes.record_described(record, row.number)
         uow.maps.replace(replace(current, model_version=self._model(record)))
         return True
 

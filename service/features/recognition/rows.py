@@ -107,7 +107,7 @@ class Entry:
             uow.maps.replace(replace(current, model_version=row.model_version))
         uow.submaps.replace(replace(row, map_version=current.map_version))
         failpoint("merge.after_submap")
-        uow.changes.record_described(row.tenant, self.map.number, row.number)
+        uow.changes.record_described(self.map, row.number)
 
 
 @dataclass(frozen=True)

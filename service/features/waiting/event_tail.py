@@ -1,25 +1,28 @@
-"""The tail of a map's events: one read for all watches."""
+"""The tail of the events of maps: one read for all watches."""
 
 from __future__ import annotations
 
 import asyncio
+from collections import Counter
 
 from revisit.service.capacity.admission import Admission
+from revisit.service.domain.errors import NotFound
 from revisit.service.domain.identity import TenantId
 from revisit.service.ports.storage import Storage
 
 POLL_EVERY_S = 0.2
-"""How often the log of events is looked at while anybody watches."""
+"""How often the counters of maps are looked at while anybody watches."""
 
 AGAIN_S = 1.0
-"""A watch that is told of nothing looks itself after this long: a map that is deleted leaves no event."""
+"""A watch that is told of nothing is asked after this long whether it goes on."""
 
-MOST_MAPS = 10_000
-"""Maps with their newest event in memory."""
+_MapKey = tuple[TenantId, str]
+_Look = tuple[frozenset[_MapKey], dict[_MapKey, int]]
+"""The maps that were asked for, and the last numbers of those that are there."""
 
 
 class EventTail:
-    """The tail of the log of events, read once for all waiters.
+    """The last numbers of the events of the maps that are watched, read once for all waiters.
 
     A watch holds nothing but the number up to which it has read, so a client that reads slowly costs no memory.
     """
@@ -29,45 +32,36 @@ class EventTail:
         self._storage = storage
         self._admission = admission
         self._every_s = every_s
-        self._next: asyncio.Task[None] | None = None
-        self._last: int | None = None
-        self._forgotten = 0
-        self._newest: dict[tuple[TenantId, str], int] = {}
+        self._next: asyncio.Task[_Look] | None = None
+        self._watched: Counter[_MapKey] = Counter()
 
-    @property
-    def last(self) -> int:
-        """The last number of the log as of the last look; 0 before the first."""
-        return self._last or 0
+    async def beyond(self, tenant: TenantId, map_id: str, number: int, at_most_s: float = AGAIN_S) -> int:
+        """Wait for an event of the map above `number`, or for so long; the last number of the map.
 
-    async def beyond(self, tenant: TenantId, map_id: str, number: int, at_most_s: float = AGAIN_S) -> bool:
-        """Wait until something happened in the map after the log had `number`, or for so long; which of the two."""
-        until_s = asyncio.get_running_loop().time() + at_most_s
-        while not self._admission.stopping:
-            await self._poll()
-            if self._newest_in(tenant, map_id) > number:
-                return True
-            if asyncio.get_running_loop().time() >= until_s:
-                break
-        return False
+        Raises NotFound where the map was deleted.
+        """
+        until_s, key = asyncio.get_running_loop().time() + at_most_s, (tenant, map_id)
+        self._watched[key] += 1
+        try:
+            last = number
+            while last <= number and not self._admission.stopping:
+                asked, known = await self._poll()
+                if key in asked - known.keys():
+                    raise NotFound(f"there is no map {map_id!r}"[:200])
+                last = known.get(key, number)
+                if asyncio.get_running_loop().time() >= until_s:
+                    break
+            return last
+        finally:
+            self._watched[key] -= 1
+            self._watched += Counter()
 
-    def _newest_in(self, tenant: TenantId, map_id: str) -> int:
-        """The number of the map's newest event, or one that is not below it."""
-        known = (self._newest.get((tenant, of), self._forgotten) for of in (map_id, ""))
-        return max(known)
-
-    async def _poll(self) -> None:
+    async def _poll(self) -> _Look:
         if self._next is None or self._next.done():
-            self._next = asyncio.create_task(self._read_tail())
-        await asyncio.shield(self._next)
+            self._next = asyncio.create_task(self._read())
+        return await asyncio.shield(self._next)
 
-    async def _read_tail(self) -> None:
+    async def _read(self) -> _Look:
         await asyncio.sleep(self._every_s)
-        if self._last is None:
-            self._last = self._forgotten = await self._storage.read(lambda uow: uow.events.last_number())
-            return
-        for event in await self._storage.read(lambda uow: uow.events.newest_of_maps(self.last)):
-            self._newest[event.tenant, event.map_id] = event.number
-            self._last = max(self.last, event.number)
-        if len(self._newest) > MOST_MAPS:
-            self._newest.clear()
-            self._forgotten = self.last
+        watched = frozenset(self._watched)
+        return watched, await self._storage.read(lambda uow: uow.events.last_numbers(watched))

@@ -51,9 +51,8 @@ class ReadYourWrites:
     async def reached(self, tenant: TenantId, map_id: str, wanted: Freshness) -> None:
         """Return once all reads from now on satisfy `wanted`.
 
-        Raises SeqNotReached after the time allowed, or at once for a number beyond the tenant's own submaps, whether or
-        not somebody else has it; Draining where the service stops meanwhile; RateLimited where too many wait; NotFound
-        for the map.
+        Raises SeqNotReached after the time allowed, or at once for a number that no submap of the map was given;
+        Draining where the service stops meanwhile; RateLimited where too many wait; NotFound for the map.
         """
         min_seq = wanted.validated().min_seq
         if min_seq == 0:
@@ -83,7 +82,7 @@ class ReadYourWrites:
 
 def _last(uow: UnitOfWork, tenant: TenantId, map_id: str) -> int:
     require_map(uow, tenant, map_id)
-    return uow.submaps.last_number(tenant)
+    return uow.submaps.last_seq(tenant, map_id)
 
 
 def _not_described(uow: UnitOfWork, of: tuple[TenantId, str, bool], min_seqs: frozenset[int]) -> frozenset[int]:

@@ -128,7 +128,7 @@ def _add(uow: UnitOfWork, record: WebhookRecord) -> CreatedWebhook:
         require_map(uow, record.tenant, record.map_id)
     if uow.webhooks.count(record.tenant) >= limits.WEBHOOKS:
         raise QuotaReached(f"a tenant may have {limits.WEBHOOKS} webhooks: delete one first")
-    added = uow.webhooks.add(replace(record, told=uow.events.last_number()))
+    added = uow.webhooks.add(record)
     return CreatedWebhook(added, added.secret, replay=False)
 
 

@@ -1,8 +1,8 @@
 """Delivering events to webhooks: from the log, in order, until they have arrived.
 
-The log of events is the outbox: a webhook keeps the number of the last event that was dealt with, and its next request
-holds those behind it. A request that failed is made again after a pause that grows; so events arrive at least once, and
-the receiver tells those that it has had by their numbers.
+The log of events is the outbox: a webhook keeps, for each map, the number of the last event that was dealt with, and
+its next request holds those behind it. A request that failed is made again after a pause that grows; so events arrive
+at least once, and the receiver tells those that it has had by their maps and numbers.
 """
 
 from __future__ import annotations
@@ -13,13 +13,13 @@ import hmac
 import random
 import time
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 
 import structlog
 
-from revisit.service.domain.identity import TenantId
+from revisit.service.domain.identity import TenantId, content_hash
 from revisit.service.domain.states import EventKind, WebhookState
 from revisit.service.domain.webhooks import Answered, DeliveryRecord, WebhookRecord, WebhookSender
 from revisit.service.features.events.calls import EventView, events_of
@@ -57,10 +57,15 @@ Render = Callable[[str, Sequence[EventView]], bytes]
 
 @dataclass(frozen=True)
 class Batch:
-    """The next events of a webhook; with none, how far one can go on without a request."""
+    """The next events of a webhook, those of a map together, and its positions behind them."""
 
     events: list[EventView]
-    last: int
+    told: dict[str, int]
+
+    @property
+    def last(self) -> int:
+        """Its position behind the last of them, in its map."""
+        return self.told[self.events[-1].map_id]
 
 
 @dataclass(frozen=True)
@@ -75,7 +80,8 @@ class Deliveries:
 
     async def deliver_due(self) -> None:
         """Begin a request for each webhook that is due and has news, where there is a place; does not wait for them."""
-        due = await self.storage.read(partial(_due, now_ns=self.clock.wall_ns()))
+        now_ns = self.clock.wall_ns()
+        due = await self.storage.read(lambda uow: uow.webhooks.due(now_ns))
         of_tenant = Counter(tenant for tenant, _ in self.under_way)
         for webhook in due:
             key = (webhook.tenant, webhook.webhook_id)
@@ -105,15 +111,14 @@ class Deliveries:
     async def _deliver(self, webhook: WebhookRecord) -> None:
         batch = await self.storage.read(partial(_batch, webhook=webhook))
         if not batch.events:
-            if batch.last > webhook.told:
-                await self.storage.write(partial(_go_on, webhook=webhook, last=batch.last))
+            await self.storage.write(partial(_go_on, webhook=webhook, told=batch.told))
             return
         body = self.render(f"webhooks/{webhook.webhook_id}", batch.events)
         began_s, at_ns = time.monotonic(), self.clock.wall_ns()
         answered = await self.sender.send(webhook.url, body, headers_of(webhook, batch, body, at_ns))
         attempt = _attempt(webhook, batch, answered, at_ns, int(1000 * (time.monotonic() - began_s)))
         after = _after(webhook, attempt, self.clock.wall_ns())
-        await self.storage.write(partial(_note, before=webhook, after=after, attempt=attempt))
+        await self.storage.write(partial(_note, before=webhook, after=after, attempt=attempt, told=batch.told))
         if not attempt.arrived:
             fields = {"webhook": webhook.webhook_id, "tenant": webhook.tenant, "failures": after.failures}
             log.warning("webhook_failed", **fields, status=answered.status, reason=answered.error, state=after.state)
@@ -135,7 +140,7 @@ def signature_of(secret: str, request_id: str, timestamp: str, body: bytes) -> s
 
 def headers_of(webhook: WebhookRecord, batch: Batch, body: bytes, at_ns: int) -> dict[str, str]:
     """The headers of a request: its id, the time in seconds since 1970, and the signature."""
-    request_id = f"{webhook.webhook_id}-{batch.events[0].number}-{batch.events[-1].number}"
+    request_id = f"{webhook.webhook_id}-{_span(webhook, batch)}"
     timestamp = str(at_ns // 1_000_000_000)
     return {
         "content-type": "application/json",
@@ -145,24 +150,31 @@ def headers_of(webhook: WebhookRecord, batch: Batch, body: bytes, at_ns: int) ->
     }
 
 
+def _span(webhook: WebhookRecord, batch: Batch) -> str:
+    """The events of a batch in short: first and last number, of several maps a hash of these."""
+    if webhook.map_id is not None:
+        return f"{batch.events[0].number}-{batch.events[-1].number}"
+    return content_hash([f"{event.map_id}/{event.number}" for event in batch.events])[:32]
+
+
 def pause_s(failures: int) -> float:
     """How long to wait after so many failures in a row, seconds: a random half to whole of a time that doubles."""
     whole_s = min(PAUSE_S[1], PAUSE_S[0] * 2.0 ** min(failures - 1, 30))
     return random.uniform(0.5, 1.0) * whole_s
 
 
-def _due(uow: UnitOfWork, now_ns: int) -> list[WebhookRecord]:
-    last = uow.events.last_number()
-    every = uow.webhooks.of_all_tenants()
-    due = [w for w in every if w.state == WebhookState.ENABLED and w.due_at_ns <= now_ns and w.told < last]
-    return sorted(due, key=lambda webhook: webhook.due_at_ns)
-
-
 def _batch(uow: UnitOfWork, webhook: WebhookRecord) -> Batch:
-    rows = uow.events.following(webhook.tenant, webhook.told, BATCH, webhook.map_id)
+    """As many of each map as of the others, so that none waits for another; of too many maps some, drawn at random."""
+    news = uow.webhooks.news(webhook)
+    maps = random.sample(sorted(news), min(len(news), BATCH))
     wanted = {*webhook.kinds, EventKind.FORGOTTEN.value}
-    chosen = [row for row in rows if not webhook.kinds or row.kind in wanted]
-    return Batch(events_of(uow, chosen), rows[-1].number if rows else webhook.told)
+    events, told = list[EventView](), dict[str, int]()
+    for map_id in sorted(maps):
+        share, its = BATCH // len(maps), news[map_id]
+        rows = uow.events.following(webhook.tenant, map_id, its.told, share)
+        events += events_of(uow, [row for row in rows if not webhook.kinds or row.kind in wanted])
+        told[map_id] = rows[-1].number if len(rows) == share else its.last
+    return Batch(events, told)
 
 
 def _attempt(webhook: WebhookRecord, batch: Batch, answered: Answered, at_ns: int, took_ms: int) -> DeliveryRecord:
@@ -191,13 +203,17 @@ def _after(webhook: WebhookRecord, attempt: DeliveryRecord, now_ns: int) -> Webh
     return replace(webhook, failures=failures, state=state.value, due_at_ns=now_ns + int(1e9 * pause_s(failures)))
 
 
-def _note(uow: UnitOfWork, before: WebhookRecord, after: WebhookRecord, attempt: DeliveryRecord) -> None:
+def _note(
+    uow: UnitOfWork, before: WebhookRecord, after: WebhookRecord, attempt: DeliveryRecord, told: Mapping[str, int]
+) -> None:
     """Keep the result of an attempt, unless the webhook was deleted or resumed meanwhile."""
     known = uow.webhooks.get(before.tenant, before.webhook_id)
     if known is None or known.number != before.number:
         return
     if known == before or attempt.arrived:
         uow.webhooks.replace(after)
+    if attempt.arrived:
+        uow.webhooks.tell(known, told)
     uow.webhook_deliveries.add(attempt)
     _trim(uow, before.tenant, before.webhook_id)
 
@@ -208,7 +224,6 @@ def _trim(uow: UnitOfWork, tenant: TenantId, webhook_id: str) -> None:
         uow.webhook_deliveries.delete(tenant, number=oldest.number)
 
 
-def _go_on(uow: UnitOfWork, webhook: WebhookRecord, last: int) -> None:
-    known = uow.webhooks.get(webhook.tenant, webhook.webhook_id)
-    if known == webhook:
-        uow.webhooks.replace(replace(webhook, told=last))
+def _go_on(uow: UnitOfWork, webhook: WebhookRecord, told: Mapping[str, int]) -> None:
+    if uow.webhooks.get(webhook.tenant, webhook.webhook_id) == webhook:
+        uow.webhooks.tell(webhook, told)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections import Counter
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Generic, TypeVar
 
@@ -16,12 +16,14 @@ from revisit.service.domain.records import (
     DeletionRecord,
     JobRecord,
     LoopRecord,
+    MapRecord,
     ScanRecord,
     SubmapRecord,
     TurnRecord,
     WorkerRecord,
 )
 from revisit.service.domain.states import EventKind, LoopState, OperationState, SubmapState
+from revisit.service.domain.webhooks import News, WebhookRecord
 from revisit.service.ports.clock import Clock, Instant
 from revisit.service.ports.index import IndexChange
 from revisit.service.ports.repositories import FoundSubmap, PathPoint, PlacedSubmap, Waiting
@@ -33,15 +35,20 @@ Scalar = str | int | None
 
 @dataclass
 class Rows:
-    """The rows of one table by number, and the last number given out, in all and to each tenant."""
+    """The rows of one table by number, and the last number given out, in all and within each map."""
 
     by_number: dict[int, Any] = field(default_factory=dict)
     last: int = 0
-    last_of: dict[str, int] = field(default_factory=dict)
+    last_of: dict[Any, int] = field(default_factory=dict)
 
     def copy(self) -> Rows:
         """An independent copy; records are immutable."""
         return Rows(dict(self.by_number), self.last, dict(self.last_of))
+
+    def next_of(self, key: Any) -> int:
+        """The next number within a map."""
+        self.last_of[key] = self.last_of.get(key, 0) + 1
+        return self.last_of[key]
 
 
 class Doomed:
@@ -201,14 +208,12 @@ class MemorySubmaps(MemoryRepository[SubmapRecord]):
     """`SubmapRepository`."""
 
     def add(self, record: SubmapRecord) -> SubmapRecord:
-        """See `Repository`; the number is noted for `last_number`."""
-        added = super().add(record)
-        self._rows.last_of[record.tenant] = added.number
-        return added
+        """See `Repository`; the `seq` is given at once."""
+        return super().add(dataclasses.replace(record, seq=self._rows.next_of((record.tenant, record.map_id))))
 
-    def last_number(self, tenant: TenantId) -> int:
+    def last_seq(self, tenant: TenantId, map_id: str) -> int:
         """See `SubmapRepository`."""
-        return self._rows.last_of.get(tenant, 0)
+        return self._rows.last_of.get((tenant, map_id), 0)
 
     def points_of(self, tenant: TenantId) -> int:
         """See `SubmapRepository`."""
@@ -239,11 +244,11 @@ class MemorySubmaps(MemoryRepository[SubmapRecord]):
     def first_waiting(self, tenant: TenantId, map_id: str) -> int | None:
         """See `SubmapRepository`."""
         queued = self.find(tenant, map_id=map_id, state=SubmapState.QUEUED.value)
-        return min((row.number for row in queued), default=None)
+        return min((row.seq for row in queued), default=None)
 
     def first_unsearched(self, tenant: TenantId, map_id: str) -> int | None:
         """See `SubmapRepository`."""
-        return min((row.number for row in self.find(tenant, map_id=map_id) if not row.searched), default=None)
+        return min((row.seq for row in self.find(tenant, map_id=map_id) if not row.searched), default=None)
 
     def flag_counts(self, tenant: TenantId, map_id: str, session_id: str) -> dict[str, int]:
         """See `SubmapRepository`."""
@@ -326,9 +331,9 @@ class _Change:
     tenant: str
     map_number: int
     submap_number: int
-    described: bool
+    number: int
+    described: bool = False
     whole_session: bool = False
-    number: int = 0
 
 
 class MemoryChangeLog:
@@ -339,21 +344,20 @@ class MemoryChangeLog:
         self._changes = changes
         self._submaps = submaps
 
-    def record_described(self, tenant: TenantId, map_number: int, submap_number: int) -> int:
+    def record_described(self, record: MapRecord, submap_number: int) -> None:
         """See `ChangeLog`."""
-        seq = self._append(_Change(tenant, map_number, submap_number, described=True))
+        seq = self._append(record, submap_number, described=True)
         if (submap := self._submaps.by_number.get(submap_number)) is not None:
             self._submaps.by_number[submap_number] = dataclasses.replace(submap, entered=seq)
-        return seq
 
-    def record_removed(self, tenant: TenantId, map_number: int, submap_numbers: Collection[int]) -> None:
+    def record_removed(self, record: MapRecord, submap_numbers: Collection[int]) -> None:
         """See `ChangeLog`."""
         for number in sorted(submap_numbers):
-            self._append(_Change(tenant, map_number, number, described=False))
+            self._append(record, number)
 
-    def record_session_removed(self, tenant: TenantId, map_number: int, session_number: int) -> None:
+    def record_session_removed(self, record: MapRecord, session_number: int) -> None:
         """See `ChangeLog`."""
-        self._append(_Change(tenant, map_number, session_number, described=False, whole_session=True))
+        self._append(record, session_number, whole_session=True)
 
     def since(self, tenant: TenantId, map_number: int, seq: int, limit: int | None = None) -> list[IndexChange]:
         """See `ChangeLog`."""
@@ -364,10 +368,11 @@ class MemoryChangeLog:
             if (change.tenant, change.map_number) == (tenant, map_number) and change.number > seq
         ][:limit]
 
-    def _append(self, change: _Change) -> int:
+    def _append(self, record: MapRecord, number: int, **fields: bool) -> int:
+        seq = self._changes.next_of(record.number)
         self._changes.last += 1
-        self._changes.by_number[self._changes.last] = dataclasses.replace(change, number=self._changes.last)
-        return self._changes.last
+        self._changes.by_number[self._changes.last] = _Change(record.tenant, record.number, number, seq, **fields)
+        return seq
 
     def _seen(self, change: _Change) -> IndexChange:
         if change.whole_session:
@@ -383,29 +388,26 @@ class MemoryChangeLog:
 class MemoryEventLog:
     """`EventLog`."""
 
-    def __init__(self, rows: Rows) -> None:
-        """Events by number."""
-        self._rows = rows
+    def __init__(self, rows: Rows, maps: MemoryMaps) -> None:
+        """`rows` in the order in which they came; what is no event any more has the kind FORGOTTEN."""
+        self._rows, self._maps = rows, maps
 
     def record(self, event: EventRecord) -> None:
         """See `EventLog`."""
-        self._rows.last += 1
-        self._rows.by_number[self._rows.last] = dataclasses.replace(event, number=self._rows.last)
+        if self._maps.everything_has(event.tenant, event.map_id):
+            self._rows.last += 1
+            number = self._rows.next_of((event.tenant, event.map_id))
+            self._rows.by_number[self._rows.last] = dataclasses.replace(event, number=number)
 
-    def following(self, tenant: TenantId, number: int, limit: int, map_id: str | None = None) -> list[EventRecord]:
+    def following(self, tenant: TenantId, map_id: str, number: int, limit: int) -> list[EventRecord]:
         """See `EventLog`."""
-        rows = [row for at, row in sorted(self._rows.by_number.items()) if at > number and row.tenant == tenant]
-        return [row for row in rows if map_id is None or row.map_id in (map_id, "")][:limit]
+        own = [row for _, row in sorted(self._rows.by_number.items()) if (row.tenant, row.map_id) == (tenant, map_id)]
+        gone = [row for row in own if row.kind == EventKind.FORGOTTEN and row.number > number][-1:]
+        return (gone + [row for row in own if row.kind != EventKind.FORGOTTEN and row.number > number])[:limit]
 
-    def newest_of_maps(self, number: int) -> list[EventRecord]:
+    def last_numbers(self, maps: Collection[tuple[TenantId, str]]) -> dict[tuple[TenantId, str], int]:
         """See `EventLog`."""
-        rows = sorted((at, row) for at, row in self._rows.by_number.items() if at > number)
-        newest = {(row.tenant, row.map_id): at for at, row in rows}
-        return [row for at, row in rows if newest[row.tenant, row.map_id] == at]
-
-    def last_number(self) -> int:
-        """See `EventLog`."""
-        return self._rows.last
+        return {key: self._rows.last_of.get(key, 0) for key in maps if self._maps.get(*key) is not None}
 
     def forget(self, kept: int) -> int:
         """See `EventLog`."""
@@ -413,14 +415,56 @@ class MemoryEventLog:
         return sum(self._forget_of(tenant, kept) for tenant in tenants)
 
     def _forget_of(self, tenant: TenantId, kept: int) -> int:
-        own = sorted(number for number, row in self._rows.by_number.items() if row.tenant == tenant)
-        if len(own) <= kept + 1:
-            return 0
-        cut = own[-kept - 1]
-        for number in own[: -kept - 1]:
-            del self._rows.by_number[number]
-        self._rows.by_number[cut] = EventRecord(tenant, "", EventKind.FORGOTTEN.value, "", cut)
-        return len(own) - kept - 1
+        rows = self._rows.by_number
+        own = [at for at, row in sorted(rows.items()) if row.tenant == tenant and row.kind != EventKind.FORGOTTEN]
+        old = own[: max(0, len(own) - kept)]
+        for at in old:
+            rows[at] = dataclasses.replace(rows[at], kind=EventKind.FORGOTTEN.value, subject="")
+        return len(old)
+
+
+class MemoryMaps(MemoryRepository[MapRecord]):
+    """`Repository` of maps."""
+
+    def everything_has(self, tenant: TenantId, map_id: str) -> bool:
+        """Whether the map is there, be it that it is being deleted."""
+        return any((row.tenant, row.map_id) == (tenant, map_id) for row in self._rows.by_number.values())
+
+
+class MemoryWebhooks(MemoryRepository[WebhookRecord]):
+    """`WebhookRepository`."""
+
+    def __init__(self, rows: Rows, maps: MemoryMaps, events: MemoryEventLog) -> None:
+        """Positions are kept beside `rows`."""
+        super().__init__(rows, ("webhook_id",))
+        self._maps, self._events = maps, events
+
+    def add(self, record: WebhookRecord) -> WebhookRecord:
+        """See `WebhookRepository`."""
+        added = super().add(record)
+        self.tell(added, self._last(added))
+        return added
+
+    def due(self, now_ns: int) -> list[WebhookRecord]:
+        """See `WebhookRepository`."""
+        rows = [row for row in self.of_all_tenants() if row.state == "ENABLED" and row.due_at_ns <= now_ns]
+        return sorted((row for row in rows if self.news(row)), key=lambda row: row.due_at_ns)
+
+    def news(self, webhook: WebhookRecord) -> dict[str, News]:
+        """See `WebhookRepository`."""
+        told = {map_id: self._rows.last_of.get((webhook.number, map_id), 0) for map_id in self._last(webhook)}
+        news = {map_id: News(told[map_id], last) for map_id, last in self._last(webhook).items()}
+        return {map_id: one for map_id, one in news.items() if one.last > one.told}
+
+    def tell(self, webhook: WebhookRecord, told: Mapping[str, int]) -> None:
+        """See `WebhookRepository`."""
+        self._rows.last_of.update({(webhook.number, map_id): number for map_id, number in told.items()})
+
+    def _last(self, webhook: WebhookRecord) -> dict[str, int]:
+        maps = [one.map_id for one in self._maps.find(webhook.tenant) if webhook.map_id in (None, one.map_id)]
+        return {
+            key[1]: last for key, last in self._events.last_numbers([(webhook.tenant, one) for one in maps]).items()
+        }
 
 
 class MemoryWorkerLog:

@@ -15,14 +15,13 @@ from revisit.service.domain.records import (
     LoopEventRecord,
     MapFileRecord,
     MapMergeRecord,
-    MapRecord,
     MapTileRecord,
     MapVersionRecord,
     RobotRecord,
     SessionPosesRecord,
     SessionRecord,
 )
-from revisit.service.domain.webhooks import DeliveryRecord, WebhookRecord
+from revisit.service.domain.webhooks import DeliveryRecord
 from revisit.service.engines.fair_turns import FairTurns
 from revisit.service.engines.leased_jobs import LeasedJobs
 from revisit.service.engines.local.clock import SystemClock
@@ -36,11 +35,13 @@ from tests.support.memory.repositories import (
     MemoryEventLog,
     MemoryJobs,
     MemoryLoops,
+    MemoryMaps,
     MemoryRepository,
     MemoryScans,
     MemorySearchProcesses,
     MemorySubmaps,
     MemoryTenantTurns,
+    MemoryWebhooks,
     MemoryWorkerLog,
     Rows,
 )
@@ -69,8 +70,8 @@ class MemoryUnitOfWork:
         def of_map(name: str, *key: str, listener: ChangeOf[R] | None = None) -> MemoryRepository[Any]:
             return MemoryRepository(tables[name], ("map_id", *key), listener, doomed)
 
-        self.events = MemoryEventLog(tables["events"])
-        self.maps: MemoryRepository[MapRecord] = of_map("maps")
+        self.maps = MemoryMaps(tables["maps"], ("map_id",), None, doomed)
+        self.events = MemoryEventLog(tables["events"], self.maps)
         self.robots: MemoryRepository[RobotRecord] = MemoryRepository(tables["robots"], ("robot_id",))
         self.sessions: MemoryRepository[SessionRecord] = of_map("sessions", "session_id")
         self.scans = MemoryScans(tables["scans"], ("map_id", "session_id", "seq"), None, doomed)
@@ -90,7 +91,7 @@ class MemoryUnitOfWork:
             tables["deletions"], ("map_id", "session_id")
         )
         self.jobs = MemoryJobs(tables["jobs"], ("operation_id",), on_job_change(self.events))
-        self.webhooks: MemoryRepository[WebhookRecord] = MemoryRepository(tables["webhooks"], ("webhook_id",))
+        self.webhooks = MemoryWebhooks(tables["webhooks"], self.maps, self.events)
         self.webhook_deliveries: MemoryRepository[DeliveryRecord] = MemoryRepository(
             tables["webhook_deliveries"], ("number",)
         )

@@ -20,6 +20,7 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TypeVar
 
@@ -43,6 +44,7 @@ from revisit.service.engines.local.sqlite.connections import (
 )
 from revisit.service.engines.local.sqlite.engine import SqliteEngine
 from revisit.service.engines.local.sqlite.store_clock import StoreClock
+from revisit.service.engines.sql.map_numbers import noted, numbered
 from revisit.service.engines.sql.unit_of_work import SqlUnitOfWork
 from revisit.service.failpoints import failpoint
 from revisit.service.ports.transactions import UnitOfWork
@@ -100,7 +102,7 @@ class SqliteTransactions:
 
     def write(self, work: Callable[[UnitOfWork], T], *, alone: bool = False, durable: bool = True) -> Future[T]:
         """See `Transactions`; every commit is durable."""
-        return self._writing.submit(lambda connection: work(self._unit_of_work(connection)), alone=alone)
+        return self._writing.submit(partial(self._noted, work=work), alone=alone)
 
     def read(self, work: Callable[[UnitOfWork], T]) -> Future[T]:
         """See `Transactions`."""
@@ -133,7 +135,8 @@ class SqliteTransactions:
         with self._failures.translated(), self._lock.held():
             with self._writer.begin() as connection:
                 self._store_clock.begin(connection)
-                yield connection
+                with numbered(connection):
+                    yield connection
                 failpoint("commit.before")
             failpoint("commit.after")
 
@@ -155,6 +158,9 @@ class SqliteTransactions:
                 self._idle.append(connection)
             else:
                 connection.close()
+
+    def _noted(self, connection: Connection, work: Callable[[UnitOfWork], T]) -> T:
+        return noted(connection, lambda: work(self._unit_of_work(connection)))
 
     def _unit_of_work(self, connection: Connection) -> UnitOfWork:
         return SqlUnitOfWork(connection, self._engine, self._lease_ms, self._clock)
