@@ -1,8 +1,8 @@
 """How many searches a submap takes in one map that many robots drive in at once, made up: as many as there are submaps.
 
-The real stores and jobs, with descriptions that cost nothing and comparisons that wait. All times are twenty times as long
-as they are said, so that the machine is not what is measured: 50, 100 and 200 submaps a second come from 40 drives, and
-a comparison takes 0.25 s from search to commit.
+The real stores and jobs, with descriptions that cost nothing and comparisons that wait. All times are twenty times as
+long as they are said, so that the machine is not what is measured: 50, 100 and 200 submaps a second come from 40
+drives, and a comparison takes 0.25 s from search to commit.
 """
 
 from __future__ import annotations
