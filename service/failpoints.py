@@ -55,7 +55,7 @@ POINTS = {
     "index.after_file_named": "a map names the file of its index, no process has loaded it",
     "delete.after_mark": "a session or map is marked as deleted, its rows and blobs are there",
     "delete.after_rows": "a submap, or a portion of the rows of a session or map, is gone, its blobs wait",
-    "delete.after_blob": "one blob that no row names is gone, its collection has not ended",
+    "delete.after_blob": "some blobs that no row names are gone, their collection has not ended",
 }
 """Every point there is, and where the code stands when it is reached."""
 

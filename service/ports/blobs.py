@@ -113,8 +113,8 @@ class BlobStore(Protocol):
         """Whether the blob is there (its content is not checked)."""
         ...
 
-    def delete(self, tenant: TenantId, kind: str, sha256: str) -> None:
-        """Forget the blob; no effect where there is none."""
+    def delete(self, blobs: Collection[StoredBlob]) -> None:
+        """Forget the blobs; those that are not there are none the less gone. Raises StorageUncertain."""
         ...
 
     def stored(self, older_than_s: float) -> Iterator[StoredBlob]:

@@ -6,6 +6,7 @@ import asyncio
 import time
 from collections.abc import Callable
 from concurrent.futures import Future
+from contextlib import suppress
 from contextvars import copy_context
 from dataclasses import dataclass
 from typing import Generic, TypeVar
@@ -18,11 +19,12 @@ from revisit.service.domain.errors import (
     NotReady,
     SessionFinished,
     StillDeleting,
+    StorageUncertain,
 )
 from revisit.service.domain.identity import SessionKey, SubmapKey, TenantId
 from revisit.service.domain.records import JobRecord, MapRecord, RobotRecord, SessionRecord, SubmapRecord
 from revisit.service.domain.states import SessionState, SubmapState
-from revisit.service.ports.blobs import BlobStore
+from revisit.service.ports.blobs import BlobStore, StoredBlob
 from revisit.service.ports.transactions import Transactions, UnitOfWork
 
 T = TypeVar("T")
@@ -60,6 +62,12 @@ class Storage:
                 await asyncio.sleep(pause_s if collected.pending else 0.0)
             await asyncio.to_thread(put)
         return await self.write(naming)
+
+
+def discard(blobs: BlobStore, *unnamed: StoredBlob) -> None:
+    """Delete blobs that no row names and nobody needs any more; where their store fails, a sweep finds them."""
+    with suppress(StorageUncertain):
+        blobs.delete(unnamed)
 
 
 @dataclass(frozen=True)

@@ -10,6 +10,7 @@ from revisit.core.errors import DataLoss
 from revisit.service.domain.identity import TenantId
 from revisit.service.engines.local.files.blobs import FileBlobStore
 from revisit.service.engines.s3.blobs import S3BlobStore
+from revisit.service.ports.blobs import StoredBlob
 from tests.support.memory.blobs import MemoryBlobStore
 from tests.support.s3 import moto, nanio, variables
 
@@ -49,14 +50,15 @@ def test_tenants_and_kinds_do_not_share_blobs(blobs):
 
 def test_a_deleted_blob_is_gone_and_deleting_it_again_is_nothing(blobs):
     name = blobs.put(TENANT, "cloud", b"points")
-    blobs.delete(TENANT, "cloud", name)
-    blobs.delete(TENANT, "cloud", name)
+    for _ in range(2):
+        blobs.delete([StoredBlob(TENANT, "cloud", name)])
     assert not blobs.exists(TENANT, "cloud", name)
 
 
 def test_all_blobs_of_all_tenants_are_listed_once_they_are_old_enough(blobs):
     kept = {(TENANT, "cloud", blobs.put(TENANT, "cloud", b"points")), (OTHER, "mesh", blobs.put(OTHER, "mesh", b"m"))}
-    blobs.delete(OTHER, "mesh", blobs.put(OTHER, "mesh", b"forgotten"))
+    forgotten = [StoredBlob(OTHER, "mesh", blobs.put(OTHER, "mesh", bytes([number]))) for number in range(3)]
+    blobs.delete([*forgotten, forgotten[0]])
     assert {(one.tenant, one.kind, one.sha256) for one in blobs.stored(0.0)} == kept
 
 

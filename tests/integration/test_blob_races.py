@@ -115,8 +115,7 @@ def test_in_every_order_of_their_steps_row_and_bytes_are_there_at_the_end(storag
         elif step == "begin":
             begun = write(begin).result()
         elif step == "delete":
-            for blob in begun.blobs.values():
-                storage.blobs.delete(blob.tenant, blob.kind, blob.sha256)
+            storage.blobs.delete(begun.blobs.values())
         elif step == "end":
             write(partial(end, begun=begun)).result()
         else:

@@ -13,6 +13,7 @@ from revisit.service.domain.errors import StorageFull, StorageUncertain
 from revisit.service.domain.identity import TenantId
 from revisit.service.engines.s3.blobs import PAGE, S3BlobStore
 from revisit.service.engines.stored_blobs import BlobStoreUnusable
+from revisit.service.ports.blobs import StoredBlob
 from tests.support.patience import PATIENCE_S
 from tests.support.s3 import moto, nanio, variables
 from tests.support.s3_link import SLOW_DOWN, WHOLE, Fault, at_first, s3_link
@@ -32,7 +33,7 @@ OPERATIONS = {
     "put": lambda blobs, name: blobs.put(TENANT, "cloud", POINTS),
     "get": lambda blobs, name: blobs.get(TENANT, "cloud", name),
     "exists": lambda blobs, name: blobs.exists(TENANT, "cloud", name),
-    "delete": lambda blobs, name: blobs.delete(TENANT, "cloud", name),
+    "delete": lambda blobs, name: blobs.delete([StoredBlob(TENANT, "cloud", name)]),
     "stored": lambda blobs, name: list(blobs.stored(0.0)),
 }
 
@@ -155,6 +156,15 @@ def test_a_damaged_blob_is_refused_kept_aside_and_mended_by_its_content(bucket, 
     assert blobs.put(TENANT, "cloud", POINTS) == name
     assert blobs.get(TENANT, "cloud", name) == POINTS
     assert [one.sha256 for one in blobs.stored(0.0)] == [name]
+
+
+def test_many_blobs_are_deleted_by_one_request(bucket, link):
+    blobs = S3BlobStore(bucket)
+    stored = [StoredBlob(TENANT, "cloud", blobs.put(TENANT, "cloud", bytes([number]))) for number in range(20)]
+    link.seen.clear()
+    blobs.delete(stored)
+    assert len(link.seen) == 1
+    assert list(blobs.stored(0.0)) == []
 
 
 def test_no_address_leaves_the_prefix(bucket):

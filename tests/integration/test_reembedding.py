@@ -18,7 +18,7 @@ from revisit.service.domain.identity import SubmapKey
 from revisit.service.engines.local.files.file_drafts import FileDrafts
 from revisit.service.engines.local.vector_index import PlaceVectorIndex
 from revisit.service.features.recognition.reembedding import Reembedding
-from revisit.service.ports.blobs import NEURAL_MAP_BLOB, PLACE_BLOB
+from revisit.service.ports.blobs import NEURAL_MAP_BLOB, PLACE_BLOB, StoredBlob
 from tests.support.fake_recogniser import FakeRecogniser
 from tests.support.own_index import memory_over
 from tests.support.records import anywhere
@@ -117,7 +117,7 @@ async def test_an_interrupted_run_changes_nothing_and_goes_on_where_it_ended(wor
 
 
 async def test_a_submap_without_its_neural_map_is_described_from_its_scans(world, drafts):
-    world.context.blobs.delete(TENANT, NEURAL_MAP_BLOB, rows_of(world)[1].neural_map_sha256)
+    world.context.blobs.delete([StoredBlob(TENANT, NEURAL_MAP_BLOB, rows_of(world)[1].neural_map_sha256)])
     newer = Newer()
     done = work_of(world, newer, drafts).reembed(map_of(world))
     assert (done.from_scans, done.failures, newer.from_scans) == (1, {}, 1)
@@ -149,7 +149,7 @@ async def test_neural_maps_of_a_former_form_are_made_anew_from_the_scans_of_a_na
 
 
 async def test_a_submap_whose_place_is_gone_is_described_from_its_neural_map_alone(world, drafts):
-    world.context.blobs.delete(TENANT, PLACE_BLOB, rows_of(world)[0].place_sha256)
+    world.context.blobs.delete([StoredBlob(TENANT, PLACE_BLOB, rows_of(world)[0].place_sha256)])
     newer = Newer()
     done = work_of(world, newer, drafts).reembed(map_of(world))
     assert (done.from_scans, done.failures) == (0, {})

@@ -19,6 +19,7 @@ from revisit.service.engines.local.sqlite.backup_key import own_key
 from revisit.service.engines.local.sqlite.examination import examine, scrub
 from revisit.service.engines.s3.blobs import S3BlobStore
 from revisit.service.features.operations.claiming import JobClaims
+from revisit.service.features.search.calls import LocalizeQuery
 from revisit.service.features.upkeep.sweeping import collect, sweep
 from revisit.service.ports.disk import UnlimitedDisk
 from revisit.service.settings import Settings
@@ -26,8 +27,19 @@ from tests.support.live_service import connected, live_service
 from tests.support.patience import eventually
 from tests.support.processes import ROOT
 from tests.support.s3 import moto, nanio, variables
-from tests.support.s3_link import SLOW_DOWN, WHOLE, at_first, s3_link
-from tests.support.service_world import TENANT, cloud_points, described, pose, posted, sqlite_world, submap
+from tests.support.s3_link import SLOW_DOWN, WHOLE, Fault, at_first, s3_link
+from tests.support.service_world import (
+    SESSION,
+    TENANT,
+    answered,
+    cloud,
+    cloud_points,
+    described,
+    pose,
+    posted,
+    sqlite_world,
+    submap,
+)
 
 CONFIGURATION, TRY_AGAIN = 78, 75
 
@@ -118,6 +130,14 @@ async def test_a_job_that_meets_a_bucket_out_of_reach_waits_and_is_not_blamed(li
     world.worker().run(world.claim())
     (job,) = world.context.transactions.read(lambda uow: uow.jobs.find(TENANT)).result()
     assert (job.state, job.counted_attempts) == ("QUEUED", 0)
+
+
+async def test_an_answer_does_not_wait_for_the_cloud_of_its_query_to_be_deleted(link, world):
+    await described(world, s1=1)
+    forbidden = Fault(refused=(403, "AccessDenied"))
+    link.fault = lambda request: forbidden if request.method == "POST" else WHOLE
+    found = await answered(world, world.use_cases.searches.localize(TENANT, LocalizeQuery(SESSION.map_id, cloud(1))))
+    assert found.best is not None
 
 
 async def test_readiness_names_a_bucket_that_does_not_answer(link, world):

@@ -12,7 +12,7 @@ import os
 import secrets
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from contextlib import contextmanager, suppress
 from datetime import UTC, datetime, timedelta
 from urllib.parse import urlsplit
@@ -108,12 +108,12 @@ class S3BlobStore:
                 return False
         return True
 
-    def delete(self, tenant: TenantId, kind: str, sha256: str) -> None:
-        """See `BlobStore`. Raises StorageUncertain."""
-        key = key_of(StoredBlob(tenant, kind, sha256))
+    def delete(self, blobs: Collection[StoredBlob]) -> None:
+        """See `BlobStore`: one request for up to 1,000."""
+        keys = [key_of(blob) for blob in blobs]
         with self._asked():
             try:
-                self._store.delete(key)
+                self._store.delete(keys)
             except FileNotFoundError as error:
                 if not is_missing(error):
                     raise

@@ -10,11 +10,11 @@ from revisit.service.domain.errors import StaleLease
 from revisit.service.domain.identity import SubmapKey
 from revisit.service.domain.records import JobRecord
 from revisit.service.features.catalogue.downloads import mesh_file, require_neural_map
-from revisit.service.ports.blobs import MESH_BLOB, NEURAL_MAP_BLOB
+from revisit.service.ports.blobs import MESH_BLOB, NEURAL_MAP_BLOB, StoredBlob
 from revisit.service.ports.job_context import JobContext
 from revisit.service.ports.job_queue import Lease
 from revisit.service.ports.recogniser import PlaceRecogniser
-from revisit.service.ports.storage import require_map, require_submap
+from revisit.service.ports.storage import discard, require_map, require_submap
 from revisit.service.ports.transactions import UnitOfWork
 
 MESH_NONCE_BYTES = 16
@@ -39,7 +39,7 @@ class MeshMaking:
         try:
             self._context.complete(lease, {"sha256": sha256, "bytes": len(file)})
         except StaleLease:  # nobody waits for it, or another worker makes it
-            self._context.blobs.delete(job.tenant, MESH_BLOB, sha256)
+            discard(self._context.blobs, StoredBlob(job.tenant, MESH_BLOB, sha256))
             raise
 
     def _asked(self, uow: UnitOfWork, job: JobRecord) -> tuple[str, PipelineConfig]:

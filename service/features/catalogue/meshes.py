@@ -14,7 +14,8 @@ from revisit.service.features.catalogue.downloads import Room
 from revisit.service.features.catalogue.job import MESH_NONCE_BYTES
 from revisit.service.features.operations.worker_answers import WorkerAnswers
 from revisit.service.features.resources.call_context import CallContext
-from revisit.service.ports.blobs import MESH_BLOB
+from revisit.service.ports.blobs import MESH_BLOB, StoredBlob
+from revisit.service.ports.storage import discard
 
 
 class SubmapMeshes:
@@ -30,16 +31,16 @@ class SubmapMeshes:
         self._context.admission.require_storage()
         self._context.admission.charge_call(tenant, MESH_POINTS)
 
-        def discard(result: dict[str, Any]) -> None:
-            self._context.storage.blobs.delete(tenant, MESH_BLOB, result["sha256"])
+        def drop(result: dict[str, Any]) -> None:
+            discard(self._context.storage.blobs, StoredBlob(tenant, MESH_BLOB, result["sha256"]))
 
         payload = {**asdict(key), "format": extension}
         made = await self._answers.answer(
-            tenant, OperationKind.MAKE_MESH, key.name, payload, limits.TILE_WAIT_S, discard
+            tenant, OperationKind.MAKE_MESH, key.name, payload, limits.TILE_WAIT_S, drop
         )
         try:
             await room(int(made["bytes"]))
             blob = await asyncio.to_thread(self._context.storage.blobs.get, tenant, MESH_BLOB, made["sha256"])
         finally:
-            await asyncio.shield(asyncio.to_thread(discard, made))
+            await asyncio.shield(asyncio.to_thread(drop, made))
         return blob[MESH_NONCE_BYTES:]

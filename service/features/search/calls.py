@@ -40,8 +40,8 @@ from revisit.service.features.ingest.clouds import (
 from revisit.service.features.operations.worker_answers import WorkerAnswers
 from revisit.service.features.resources.call_context import CallContext
 from revisit.service.features.waiting.freshness import Freshness, ReadYourWrites
-from revisit.service.ports.blobs import QUERY_CLOUD_BLOB
-from revisit.service.ports.storage import require_descriptor, require_map, require_submap
+from revisit.service.ports.blobs import QUERY_CLOUD_BLOB, StoredBlob
+from revisit.service.ports.storage import discard, require_descriptor, require_map, require_submap
 from revisit.service.ports.transactions import UnitOfWork
 
 
@@ -169,8 +169,8 @@ class Searches:
             content = {**payload, "cloud_sha256": sha256}
             return await self._answers.answer(tenant, kind, f"maps/{payload['map_id']}", content, timeout_s)
         finally:
-            gone = asyncio.to_thread(self._context.storage.blobs.delete, tenant, QUERY_CLOUD_BLOB, sha256)
-            await asyncio.shield(gone)
+            blob = StoredBlob(tenant, QUERY_CLOUD_BLOB, sha256)
+            await asyncio.shield(asyncio.to_thread(discard, self._context.storage.blobs, blob))
 
 
 def _require_searchable(uow: UnitOfWork, tenant: TenantId, payload: dict[str, Any]) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 
 from revisit.core.errors import DataLoss
 from revisit.service.domain.identity import TenantId
@@ -33,9 +33,10 @@ class MemoryBlobStore:
         """See `BlobStore`."""
         return (tenant, kind, sha256) in self._blobs
 
-    def delete(self, tenant: TenantId, kind: str, sha256: str) -> None:
+    def delete(self, blobs: Collection[StoredBlob]) -> None:
         """See `BlobStore`."""
-        self._blobs.pop((tenant, kind, sha256), None)
+        for blob in blobs:
+            self._blobs.pop((blob.tenant, blob.kind, blob.sha256), None)
 
     def stored(self, older_than_s: float) -> Iterator[StoredBlob]:
         """See `BlobStore`; ages are not kept, so every blob counts as old enough."""

@@ -7,7 +7,7 @@ import fcntl
 import hashlib
 import os
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -81,11 +81,11 @@ class FileBlobStore:
         """See `BlobStore`."""
         return self._path(tenant, kind, sha256).exists()
 
-    def delete(self, tenant: TenantId, kind: str, sha256: str) -> None:
-        """See `BlobStore`. While a backup runs the file stays; the next sweep deletes it."""
+    def delete(self, blobs: Collection[StoredBlob]) -> None:
+        """See `BlobStore`. While a backup runs the files stay; the next sweep deletes them."""
         with deleting(self._root) as may_delete:
-            if may_delete:
-                self._path(tenant, kind, sha256).unlink(missing_ok=True)
+            for blob in blobs if may_delete else ():
+                blob_path(self._root, blob).unlink(missing_ok=True)
 
     def stored(self, older_than_s: float) -> Iterator[StoredBlob]:
         """See `BlobStore`. Deletes the temporary files of interrupted writes that it meets."""
