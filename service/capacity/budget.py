@@ -57,6 +57,11 @@ class TokenBucket:
         self._refill(now_s)
         self.balance -= tokens
 
+    def change(self, rate: Rate, now_s: float) -> None:
+        """Refill by another rate from now on."""
+        self._refill(now_s)
+        self.per_s, self.burst = rate.per_s, rate.burst
+
     def _refill(self, now_s: float) -> None:
         self.balance = min(self.burst, self.balance + (now_s - self.at_s) * self.per_s)
         self.at_s = now_s
@@ -98,6 +103,8 @@ class RateBudget:
 
     def _bucket(self, rate: Rate, now_s: float) -> TokenBucket:
         bucket = self._buckets.get(rate.holder) or TokenBucket(rate.per_s, rate.burst, rate.burst, now_s)
+        if bucket.per_s != rate.per_s:
+            bucket.change(rate, now_s)
         self._buckets[rate.holder] = bucket
         return bucket
 

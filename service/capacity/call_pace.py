@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from functools import partial
 
 from revisit.service.capacity.budget import Rate, RateBudget, Remembered, wait_while
+from revisit.service.capacity.gateway_share import GatewayShare
 from revisit.service.capacity.limits import (
     CALL_POLL_S,
     CALL_POLLS,
@@ -43,12 +44,15 @@ class CallPace:
         now_s: Callable[[], float] = time.monotonic,
         sleep: Callable[[float], Awaitable[None]] = asyncio.sleep,
         others_wait: Callable[[TenantId], bool] = lambda _tenant: False,
+        share: GatewayShare | None = None,
     ) -> None:
         """`now_s` is a monotonic clock, seconds; `sleep` waits for so many.
 
-        `others_wait` tells whether a cloud of another tenant is in flight.
+        `others_wait` tells whether a cloud of another tenant is in flight. A tenant and a client get this gateway's
+        `share` of their limits.
         """
         self._limits = limits
+        self._share = share or GatewayShare()
         self._others_wait = others_wait
         self._now_s = now_s
         self._sleep = sleep
@@ -111,8 +115,8 @@ class CallPace:
 
     def _rates_of(self, tenant: str, client: str) -> tuple[Rate, Rate]:
         limits = self._limits
-        own = self._rate(("client", tenant, client), limits.client_calls_per_s)
-        return own, self._rate(("tenant", tenant), limits.tenant_calls_per_s)
+        own = self._rate(("client", tenant, client), self._share.of(limits.client_calls_per_s))
+        return own, self._rate(("tenant", tenant), self._share.of(limits.tenant_calls_per_s))
 
     def _rate(self, caller: tuple[str, ...], per_s: float) -> Rate:
         return Rate(caller, per_s, self._limits.burst)

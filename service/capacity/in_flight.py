@@ -17,6 +17,7 @@ from itertools import islice
 
 from revisit.core.errors import RevisitError
 from revisit.service.capacity.budget import Budget, Held, Rate, RateBudget, Remembered, wait_while
+from revisit.service.capacity.gateway_share import GatewayShare
 from revisit.service.capacity.limits import (
     BESIDE_OTHERS,
     CALL_POINTS,
@@ -51,12 +52,15 @@ class InFlight:
         now_s: Callable[[], float] = time.monotonic,
         note_refused: Callable[[TenantId, str], None] = lambda _tenant, _client: None,
         sleep: Callable[[float], Awaitable[None]] = asyncio.sleep,
+        share: GatewayShare | None = None,
     ) -> None:
         """`client` names the caller of the current request within its tenant; `now_s` is a monotonic clock, seconds.
 
-        `note_refused` gets the caller that a rate limit refuses; `sleep` waits for so many seconds.
+        `note_refused` gets the caller that a rate limit refuses; `sleep` waits for so many seconds. A
+        tenant and a client get this gateway's `share` of their limits.
         """
         self.limits = limits
+        self._share = share or GatewayShare()
         self._client = client
         self._now_s = now_s
         self._note_refused = note_refused
@@ -151,7 +155,7 @@ class InFlight:
         """
         key, more = (tenant, self._client()), int(replaces)
         own, overall = self._streams[key], self.streams
-        if own >= self.limits.client_streams + more or overall >= self.limits.streams + more:
+        if own >= self._share.of_whole(self.limits.client_streams) + more or overall >= self.limits.streams + more:
             raise RateLimited(f"{own} streams of this client and {overall} in all are open", retry_after_s=SLOT_RETRY_S)
         self._streams.add(key, 1)
         try:
@@ -196,8 +200,8 @@ class InFlight:
         limits, client = self.limits, self._client()
         rates = {
             (): limits.points_per_s,
-            (tenant,): limits.tenant_points_per_s,
-            (tenant, client): limits.client_points_per_s,
+            (tenant,): self._share.of(limits.tenant_points_per_s),
+            (tenant, client): self._share.of(limits.client_points_per_s),
         }
         return tuple(Rate(holder, per_s, per_s * limits.burst_s) for holder, per_s in rates.items())
 

@@ -4,20 +4,11 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterable
-from dataclasses import dataclass
+
+from revisit.service.domain.processes import LivingProcess
 
 
-@dataclass(frozen=True)
-class SearchProcess:
-    """A search process: where it is asked, whether its maps are loaded, and those that keep it too busy, by number."""
-
-    process_id: str
-    address: str
-    ready: bool = False
-    busy: frozenset[int] = frozenset()
-
-
-def owners(map_number: int, processes: Iterable[SearchProcess]) -> list[SearchProcess]:
+def owners(map_number: int, processes: Iterable[LivingProcess]) -> list[LivingProcess]:
     """Those that hold a map: the first of its ranking, and after each one that is too busy with it the next.
 
     Each map ranks the processes in an order of its own (rendezvous hashing), so that only the maps of a process that
@@ -28,5 +19,5 @@ def owners(map_number: int, processes: Iterable[SearchProcess]) -> list[SearchPr
     return ranked[: busy + 1]
 
 
-def _rank(map_number: int, process: SearchProcess) -> bytes:
+def _rank(map_number: int, process: LivingProcess) -> bytes:
     return hashlib.sha256(f"{map_number}/{process.process_id}".encode()).digest()

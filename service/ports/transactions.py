@@ -25,6 +25,7 @@ from revisit.service.ports.access import AuditTrail, KeyRing
 from revisit.service.ports.blobs import BlobRows
 from revisit.service.ports.index import ChangeLog
 from revisit.service.ports.job_queue import JobQueue, WorkerLog
+from revisit.service.ports.processes import ProcessLog
 from revisit.service.ports.repositories import (
     JobRepository,
     LoopRepository,
@@ -33,7 +34,6 @@ from revisit.service.ports.repositories import (
     SubmapRepository,
     WebhookRepository,
 )
-from revisit.service.ports.search_processes import SearchProcessLog
 
 T = TypeVar("T")
 
@@ -160,8 +160,8 @@ class UnitOfWork(Protocol):
         ...
 
     @property
-    def search_processes(self) -> SearchProcessLog:
-        """The living search processes."""
+    def processes(self) -> ProcessLog:
+        """The living gateways and search processes."""
         ...
 
     @property

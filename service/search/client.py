@@ -13,7 +13,8 @@ import structlog
 from revisit.core.errors import BadField
 from revisit.internal.v1 import place_search_pb2 as pb
 from revisit.service.domain.errors import Unavailable
-from revisit.service.domain.placement import SearchProcess, owners
+from revisit.service.domain.placement import owners
+from revisit.service.domain.processes import LivingProcess, ProcessRole
 from revisit.service.ports.place_search import PlaceAnswer, PlaceQuestion, PlaceSearch
 from revisit.service.ports.transactions import Transactions, UnitOfWork
 from revisit.service.search.messages import answer_of, question_message
@@ -30,6 +31,12 @@ PATIENCE_S = 15.0
 
 AGAIN_S = 0.2
 
+
+def search_processes(uow: UnitOfWork) -> list[LivingProcess]:
+    """Those that live."""
+    return uow.processes.alive(ProcessRole.SEARCH, ALIVE_WITHIN_MS)
+
+
 Call: TypeAlias = "grpc.UnaryUnaryMultiCallable[pb.NearestRequest, pb.NearestResponse]"
 
 log = structlog.get_logger(__name__)
@@ -44,7 +51,7 @@ class RemotePlaceSearch:
         self._own = own
         self._token = ((TOKEN, token_of(secret)),)
         self._lock = threading.Lock()
-        self._processes: list[SearchProcess] = []
+        self._processes: list[LivingProcess] = []
         self._read_at_s = float("-inf")
         self._seen = False
         self._calls: dict[str, Call] = {}
@@ -93,10 +100,10 @@ class RemotePlaceSearch:
         with self._lock:
             self._processes = [one for one in self._processes if one.address != address]
 
-    def _alive(self) -> list[SearchProcess]:
+    def _alive(self) -> list[LivingProcess]:
         with self._lock:
             if time.monotonic() - self._read_at_s >= READ_AGAIN_S:
-                self._processes = self._transactions.read_here(lambda uow: uow.search_processes.alive(ALIVE_WITHIN_MS))
+                self._processes = self._transactions.read_here(search_processes)
                 self._read_at_s = time.monotonic()
                 self._seen = self._seen or bool(self._processes)
             return self._processes

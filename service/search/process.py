@@ -11,7 +11,8 @@ from dataclasses import dataclass, replace
 
 import structlog
 
-from revisit.service.domain.placement import SearchProcess, owners
+from revisit.service.domain.placement import owners
+from revisit.service.domain.processes import LivingProcess, ProcessRole
 from revisit.service.domain.records import MapRecord
 from revisit.service.features.index.caught_up_index import CaughtUpIndex
 from revisit.service.features.index.keeping import IndexHealth, IndexKeeper
@@ -19,7 +20,7 @@ from revisit.service.ports.disk import UnlimitedDisk
 from revisit.service.ports.index import VectorIndex
 from revisit.service.ports.storage import Storage
 from revisit.service.ports.transactions import Transactions
-from revisit.service.search.client import ALIVE_WITHIN_MS
+from revisit.service.search.client import search_processes
 from revisit.service.search.load import MapLoad
 from revisit.service.search.server import PlaceSearchServer
 
@@ -63,7 +64,7 @@ class HeldMaps:
         """Others ask it under `address`."""
         self._held = held
         self._load = load
-        self._me = SearchProcess(process_id, address)
+        self._me = LivingProcess(process_id, ProcessRole.SEARCH, address)
         self._maps: dict[int, MapRecord] = {}
         self._mine: frozenset[int] = frozenset()
         self._shown_at_s = time.monotonic()
@@ -74,16 +75,16 @@ class HeldMaps:
         busy = self._load.busy(max(now_s - self._shown_at_s, 1e-3))
         self._shown_at_s = now_s
         me = replace(self._me, busy=busy)
-        self._held.transactions.write(lambda uow: uow.search_processes.announce(me)).result()
+        self._held.transactions.write(lambda uow: uow.processes.announce(me)).result()
 
     def leave(self) -> None:
         """Nobody asks it any more."""
-        self._held.transactions.write(lambda uow: uow.search_processes.forget(self._me.process_id)).result()
+        self._held.transactions.write(lambda uow: uow.processes.forget(self._me.process_id)).result()
 
     def tend(self) -> None:
         """Load the maps that fall to it, and let others go."""
         self._read_maps()
-        alive = self._held.transactions.read_here(lambda uow: uow.search_processes.alive(ALIVE_WITHIN_MS))
+        alive = self._held.transactions.read_here(search_processes)
         mine = {number for number in self._maps if self._holds(number, alive)}
         for number in sorted(mine):
             self._held.caught_up.catch_up(self._maps[number].tenant, number)
@@ -106,7 +107,7 @@ class HeldMaps:
             self._held.index.drop(number)
         self._maps = {record.number: record for record in records}
 
-    def _holds(self, number: int, alive: list[SearchProcess]) -> bool:
+    def _holds(self, number: int, alive: list[LivingProcess]) -> bool:
         """Whether a map falls to this process, or did before those came that are still loading."""
         settled = [one for one in alive if one.ready]
         return any(one.process_id == self._me.process_id for one in (*owners(number, alive), *owners(number, settled)))

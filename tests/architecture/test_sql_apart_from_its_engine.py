@@ -45,7 +45,7 @@ NOW = Instant("boot", 1)
 KEY = KeyRecord(TENANT, "k1", "label", ("read",), "0" * 64, 1, None, None, None)
 ROW = AuditRecord(1, 1, TENANT, "actor", "keys.create", "k1", {}, "", "0" * 64)
 HOOK = WebhookRecord(TENANT, "hook", "hash", "https://example.org", None, (), "secret", "ENABLED", 0, 0, 0, 1)
-KEYED_OTHERWISE = ("workers", "search_processes", "tenant_turns", "map_counters", "webhook_positions")
+KEYED_OTHERWISE = ("workers", "processes", "tenant_turns", "map_counters", "webhook_positions")
 CALLS = {
     "SqlRepository.add": fill,
     "SqlRepository.get": lambda uow: [uow.maps.get(TENANT, "town", hold=hold) for hold in (False, True)],

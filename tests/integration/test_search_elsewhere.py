@@ -13,7 +13,7 @@ from revisit.core.errors import BadField
 from revisit.core.index import FaissIndex
 from revisit.internal.v1 import place_search_pb2 as pb
 from revisit.service.domain.errors import Unavailable
-from revisit.service.domain.placement import SearchProcess
+from revisit.service.domain.processes import LivingProcess, ProcessRole
 from revisit.service.engines.local.vector_index import PlaceVectorIndex
 from revisit.service.features.catalogue.maps import CreateMap
 from revisit.service.features.index.caught_up_index import CaughtUpIndex
@@ -200,9 +200,9 @@ async def test_a_deleted_map_leaves_the_memory_of_its_process(world):
 
 
 def test_a_process_that_shows_itself_no_more_is_asked_no_more(world):
-    gone = SearchProcess("search-gone", "127.0.0.1:1", ready=True)
-    world.context.transactions.write(lambda uow: uow.search_processes.announce(gone)).result()
+    gone = LivingProcess("search-gone", ProcessRole.SEARCH, "127.0.0.1:1", ready=True)
+    world.context.transactions.write(lambda uow: uow.processes.announce(gone)).result()
     world.clock.ms += client.ALIVE_WITHIN_MS + 1
     with running(world, "search-a"):
-        alive = world.context.transactions.read(lambda uow: uow.search_processes.alive(client.ALIVE_WITHIN_MS)).result()
+        alive = world.context.transactions.read(client.search_processes).result()
         assert [one.process_id for one in alive] == ["search-a"]

@@ -501,10 +501,11 @@ workers = Table(
     Column("seen_ms", BigInteger, nullable=False),
 )
 
-search_processes = Table(
-    "search_processes",
+processes = Table(
+    "processes",
     metadata,
     Column("process_id", String(64), primary_key=True),
+    Column("role", String(16), nullable=False),
     Column("address", String(255), nullable=False),
     Column("ready", Boolean, nullable=False),
     Column("busy", JSON, nullable=False),

@@ -45,8 +45,8 @@ from revisit.service.engines.sql.event_log import SqlEventLog
 from revisit.service.engines.sql.jobs import SqlJobs
 from revisit.service.engines.sql.loops import SqlLoops
 from revisit.service.engines.sql.map_counters import SqlMaps
+from revisit.service.engines.sql.process_log import SqlProcessLog
 from revisit.service.engines.sql.repositories import SqlRepository, SqlScans, SqlSubmaps
-from revisit.service.engines.sql.search_processes import SqlSearchProcesses
 from revisit.service.engines.sql.turns import SqlTenantTurns
 from revisit.service.engines.sql.webhooks import SqlWebhooks
 from revisit.service.engines.sql.worker_log import SqlWorkerLog
@@ -164,9 +164,9 @@ class SqlUnitOfWork:
         return SqlWorkerLog(self.connection, self.clock)
 
     @cached_property
-    def search_processes(self) -> SqlSearchProcesses:
-        """The living search processes."""
-        return SqlSearchProcesses(self.connection, self.engine)
+    def processes(self) -> SqlProcessLog:
+        """The living gateways and search processes."""
+        return SqlProcessLog(self.connection, self.engine)
 
     @cached_property
     def keys(self) -> SqlKeyRing:

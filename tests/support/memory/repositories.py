@@ -11,7 +11,7 @@ from typing import Any, Generic, TypeVar
 from revisit.service.domain.errors import AlreadyExists, NotFound
 from revisit.service.domain.events import ChangeOf, EventRecord
 from revisit.service.domain.identity import TenantId
-from revisit.service.domain.placement import SearchProcess
+from revisit.service.domain.processes import LivingProcess, ProcessRole
 from revisit.service.domain.records import (
     DeletionRecord,
     JobRecord,
@@ -496,28 +496,28 @@ class MemoryWorkerLog:
         self._rows.by_number.update(kept)
 
 
-class MemorySearchProcesses:
-    """`SearchProcessLog`."""
+class MemoryProcessLog:
+    """`ProcessLog`."""
 
     def __init__(self, rows: Rows, clock: Clock) -> None:
         """Processes with the moment at which they were seen, by their place in `rows`."""
         self._rows = rows
         self._clock = clock
 
-    def announce(self, process: SearchProcess) -> None:
-        """See `SearchProcessLog`."""
+    def announce(self, process: LivingProcess) -> None:
+        """See `ProcessLog`."""
         self.forget(process.process_id)
         self._rows.last += 1
         self._rows.by_number[self._rows.last] = (process, self._clock.instant().ms)
 
-    def alive(self, within_ms: int) -> list[SearchProcess]:
-        """See `SearchProcessLog`."""
+    def alive(self, role: ProcessRole, within_ms: int) -> list[LivingProcess]:
+        """See `ProcessLog`."""
         since_ms = self._clock.instant().ms - within_ms
         seen = [process for process, seen_ms in self._rows.by_number.values() if seen_ms >= since_ms]
-        return sorted(seen, key=lambda process: process.process_id)
+        return sorted((one for one in seen if one.role is role), key=lambda process: process.process_id)
 
     def forget(self, process_id: str) -> None:
-        """See `SearchProcessLog`."""
+        """See `ProcessLog`."""
         kept = {number: row for number, row in self._rows.by_number.items() if row[0].process_id != process_id}
         self._rows.by_number.clear()
         self._rows.by_number.update(kept)

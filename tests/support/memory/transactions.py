@@ -36,9 +36,9 @@ from tests.support.memory.repositories import (
     MemoryJobs,
     MemoryLoops,
     MemoryMaps,
+    MemoryProcessLog,
     MemoryRepository,
     MemoryScans,
-    MemorySearchProcesses,
     MemorySubmaps,
     MemoryTenantTurns,
     MemoryWebhooks,
@@ -55,7 +55,7 @@ _TABLES = (
     "deletions",
     "unreferenced_blobs",
     *("jobs", "turns", "changes", "events", "webhooks", "webhook_deliveries", "workers", "keys", "audit"),
-    "search_processes",
+    "processes",
 )
 
 
@@ -100,7 +100,7 @@ class MemoryUnitOfWork:
         self.blobs = MemoryBlobRows(tables["unreferenced_blobs"], tables, clock)
         self.changes = MemoryChangeLog(tables["changes"], tables["submaps"])
         self.workers = MemoryWorkerLog(tables["workers"], clock)
-        self.search_processes = MemorySearchProcesses(tables["search_processes"], clock)
+        self.processes = MemoryProcessLog(tables["processes"], clock)
         self.keys = MemoryKeyRing(tables["keys"].by_number)
         self.audit = MemoryAuditTrail(tables["audit"].by_number)
 

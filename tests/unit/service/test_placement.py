@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections import Counter
 from dataclasses import replace
 
-from revisit.service.domain.placement import SearchProcess, owners
+from revisit.service.domain.placement import owners
+from revisit.service.domain.processes import LivingProcess, ProcessRole
 from revisit.service.search.load import MapLoad
 
-FOUR = [SearchProcess(f"search-{number}", f"host-{number}:8090", ready=True) for number in range(4)]
+FOUR = [LivingProcess(f"search-{number}", ProcessRole.SEARCH, f"host-{number}:8090", ready=True) for number in range(4)]
 MAPS = range(1, 2001)
 
 

@@ -1,4 +1,4 @@
-"""Search processes show themselves in a table."""
+"""Gateways and search processes show themselves in a table."""
 
 from __future__ import annotations
 
@@ -14,8 +14,9 @@ depends_on = None
 def upgrade() -> None:
     """Add the table."""
     op.create_table(
-        "search_processes",
+        "processes",
         sa.Column("process_id", sa.String(64), primary_key=True),
+        sa.Column("role", sa.String(16), nullable=False),
         sa.Column("address", sa.String(255), nullable=False),
         sa.Column("ready", sa.Boolean, nullable=False),
         sa.Column("busy", sa.JSON, nullable=False),
@@ -24,5 +25,5 @@ def upgrade() -> None:
 
 
 def downgrade() -> None:
-    """Drop it: the older version searches in each process."""
-    op.drop_table("search_processes")
+    """Drop it: the older version searches in each process, and has one gateway."""
+    op.drop_table("processes")
