@@ -17,6 +17,7 @@ from revisit.v1 import (
     map_pb2,
     mapping_pb2,
     operation_pb2,
+    retention_pb2,
     robot_pb2,
     session_pb2,
     submap_pb2,
@@ -27,7 +28,9 @@ from revisit.v1.comments import COMMENTS
 PATH = "revisit/sdk/resources.py"
 
 MADE = (
-    map_pb2.LoopPolicy, map_pb2.Map, robot_pb2.Robot, session_pb2.Finding, session_pb2.NoLoops, session_pb2.Session,
+    map_pb2.LoopPolicy, map_pb2.Map, retention_pb2.RetentionPolicy, retention_pb2.RetentionOutcome,
+    retention_pb2.RetentionReport, retention_pb2.MapRetention,
+    robot_pb2.Robot, session_pb2.Finding, session_pb2.NoLoops, session_pb2.Session,
     operation_pb2.Failure, submap_pb2.Submap, loop_closure_pb2.SearchHit, loop_closure_pb2.LocalizedCandidate,
     loop_closure_pb2.LocalizeResponse,
     loop_closure_pb2.LoopClosure, loop_closure_pb2.LoopClosureEvent, mapping_pb2.MapChange, mapping_pb2.MapMerge,
@@ -48,7 +51,8 @@ NONE = {
 """Fields that are never absent, and None where they are empty, zero or unspecified."""
 
 ALWAYS = {
-    "Map.loop_policy", "Submap.t_odom_submap", "MapVersion.summary", "SubmapPose.t_map_submap", "Correction.t_map_odom",
+    "Map.loop_policy", "MapRetention.policy",
+    "Submap.t_odom_submap", "MapVersion.summary", "SubmapPose.t_map_submap", "Correction.t_map_odom",
 }  # fmt: skip
 """Messages and transforms that are never absent. Points and JSON never are."""
 

@@ -45,7 +45,7 @@ from revisit.service.features.index.caught_up_index import CaughtUpIndex
 from revisit.service.features.recognition.reembedding import Reembedding
 from revisit.service.features.upkeep.calls import WORKER_SEEN_WITHIN_MS
 from revisit.service.features.upkeep.chores import Chore
-from revisit.service.features.upkeep.retention import forget_answers, forget_events
+from revisit.service.features.upkeep.forgetting import forget_answers, forget_events
 from revisit.service.features.upkeep.sweeping import collect, sweep
 from revisit.service.features.webhooks.deliveries import Deliveries
 from revisit.service.large_blocks import SPARE_BYTES, return_large_blocks, share_one_heap
@@ -74,6 +74,7 @@ LOAD_INDEX_EVERY_S = 1.0
 AUDIT_INDEX_EVERY_S = 1.0
 TEND_INDEX_FILES_EVERY_S = 2.0
 ERASE_EVERY_S = 5.0
+RETAIN_EVERY_S = 600.0
 FORGET_ANSWERS_EVERY_S = 60.0
 FORGET_EVENTS_EVERY_S = 60.0
 DELIVER_WEBHOOKS_EVERY_S = 1.0
@@ -232,6 +233,7 @@ def chores(settings: Settings, context: ServiceContext, fail_stop: FailStop) -> 
         Chore("sweep_blobs", SWEEP_EVERY_S, sweep_blobs),
         Chore("collect_blobs", COLLECT_EVERY_S, collect_blobs),
         Chore("erase_deleted", ERASE_EVERY_S, context.erasure.all, close=context.erasure.close),
+        Chore("retention", RETAIN_EVERY_S, context.retention.all),
         Chore("load_index", LOAD_INDEX_EVERY_S, keeper.load),
         Chore("audit_index", AUDIT_INDEX_EVERY_S, audit_index),
         Chore("tend_index_files", TEND_INDEX_FILES_EVERY_S, tend_index_files),

@@ -30,6 +30,7 @@ from revisit.service.features.publishing.job import MapFiling
 from revisit.service.features.recognition.job import SubmapDescriptionJob
 from revisit.service.features.recognition.loop_recall_job import LoopRecallJob
 from revisit.service.features.recognition.proposed_loop_job import ProposedLoopJob
+from revisit.service.features.retention.run import Retention
 from revisit.service.features.search.job import CloudQueryJob
 from revisit.service.features.tiles.job import TileMaking
 from revisit.service.ports.blobs import BlobOutage, BlobStore, NoOutage
@@ -97,6 +98,11 @@ class ServiceContext:
     def erasure(self) -> Erasure:
         """The eraser of deleted sessions and maps."""
         return Erasure(self.storage, self.clock)
+
+    @cached_property
+    def retention(self) -> Retention:
+        """Brings maps to their policies of retention."""
+        return Retention(self.storage, self.clock, self.policy)
 
     @cached_property
     def quota(self) -> StorageQuota | None:

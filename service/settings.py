@@ -17,7 +17,8 @@ from revisit.service.access_settings import AccessSettings
 from revisit.service.capacity.limits import CapacityLimits, PaceLimits
 from revisit.service.domain import limits
 from revisit.service.domain.policy import Policy
-from revisit.service.features.upkeep.retention import ANSWERS_KEPT_S, EVENTS_KEPT
+from revisit.service.domain.retention import GRAMMAR, parsed
+from revisit.service.features.upkeep.forgetting import ANSWERS_KEPT_S, EVENTS_KEPT
 
 GROUPS: Mapping[str, tuple[str, ...]] = {
     "Addresses and access": (
@@ -29,7 +30,7 @@ GROUPS: Mapping[str, tuple[str, ...]] = {
         "home", "blob_url", "workers", "worker_memory_mb", "job_timeout_s", "max_queued_jobs", "tenant_storage_mb",
         "client_points_per_s", "streams_per_client", "reserve_mb",
     ),
-    "Maps and loops": ("tau_m", "stride_m", "optimise_after_loops"),
+    "Maps and loops": ("tau_m", "stride_m", "optimise_after_loops", "retention"),
     "Logs and traces": ("log_level", "hash_tenants_in_logs", "otlp_endpoint"),
 }  # fmt: skip
 """The settings of an operator, as the reference page has them."""
@@ -141,6 +142,12 @@ class Settings(AccessSettings):
         description="accepted loop closures that the pose graph of a map has not seen yet, from which on the map is "
         "optimised by itself, once they have settled for a few seconds; 0 for only when somebody asks",
     )
+    retention: str = Field(
+        default="",
+        max_length=limits.POLICY_CHARACTERS,
+        description=f"what maps without a policy of their own keep, in words separated by commas: {GRAMMAR}; empty for "
+        "everything",
+    )
     job_timeout_s: float = Field(
         default=120.0,
         gt=0,
@@ -217,6 +224,7 @@ class Settings(AccessSettings):
             tenant_storage_bytes=None if self.tenant_storage_mb is None else self.tenant_storage_mb * 2**20,
             optimise_after_loops=self.optimise_after_loops,
             webhook_private_networks=self.webhook_private_networks,
+            retention=parsed(self.retention),
         )
 
     @property

@@ -38,6 +38,7 @@ from revisit.service.features.optimisation.calls import MapVersions
 from revisit.service.features.publishing.calls import MapFiles
 from revisit.service.features.resources.call_context import CallContext
 from revisit.service.features.resources.paging import Lists, PageTokens
+from revisit.service.features.retention.calls import MapRetentions
 from revisit.service.features.search.calls import Searches
 from revisit.service.features.tiles.calls import MapTiles
 from revisit.service.features.upkeep.calls import System
@@ -66,6 +67,7 @@ class UseCases:
     map_merges: MapMerges
     map_tiles: MapTiles
     map_files: MapFiles
+    retention: MapRetentions
     corrections: Corrections
     loop_decisions: LoopDecisions
     dead_letters: DeadLetters
@@ -105,6 +107,7 @@ class UseCases:
             map_merges=MapMerges(context, of.erasure),
             map_tiles=MapTiles(context, operations, rendering),
             map_files=MapFiles(context),
+            retention=MapRetentions(context),
             corrections=Corrections(context, tail),
             loop_decisions=LoopDecisions(context),
             dead_letters=DeadLetters(context, of.backlog),

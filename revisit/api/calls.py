@@ -27,6 +27,7 @@ from revisit.v1 import (
     map_tile_pb2,
     mapping_pb2,
     operation_pb2,
+    retention_pb2,
     robot_pb2,
     session_pb2,
     submap_pb2,
@@ -246,6 +247,13 @@ _TABLE = (
         Row("EnableMapFile", ADMIN, "POST /v1/{name=maps/*/files/*}:enable", "map_file"),
         Row("DeleteMapFile", ADMIN, "DELETE /v1/{name=maps/*/files/*}"),
         Row("DownloadMapFile", READ, "GET /v1/{name=maps/*/files/*}:download", form=Form.FILE),
+    ),
+    *_calls(
+        retention_pb2,
+        "retention",
+        Row("GetRetention", READ, "GET /v1/{name=maps/*}:retention", "retention"),
+        Row("SetRetention", ADMIN, "POST /v1/{name=maps/*}:setRetention", "retention"),
+        Row("PreviewRetention", ADMIN, "POST /v1/{name=maps/*}:previewRetention", "report"),
     ),
     *_calls(
         operation_pb2,

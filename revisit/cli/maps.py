@@ -13,6 +13,7 @@ from revisit.cli.former_names import WithFormerNames
 from revisit.cli.options import HTTP, Http, Json, MapName
 from revisit.cli.output import emit_json, emit_table, refuse, say, utc
 from revisit.cli.pose_graph import optimise_here
+from revisit.cli.retention import retention
 from revisit.cli.waiting import waited
 
 if TYPE_CHECKING:
@@ -27,6 +28,7 @@ group.command("save")(map_versions.save)
 group.command("tiles")(map_tiles.tiles)
 group.command("publish")(map_versions.publish)
 group.command("check")(map_versions.check)
+group.command("retention")(retention)
 
 
 @group.command("create")

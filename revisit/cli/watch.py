@@ -15,9 +15,9 @@ from revisit.cli.options import HTTP, Http, MapName
 from revisit.cli.output import plain, refuse, say, signs
 
 if TYPE_CHECKING:
-    from revisit.sdk.resources import Event, LoopClosure, MapVersion, Operation
+    from revisit.sdk.resources import Event, LoopClosure, MapVersion, Operation, RetentionReport
 
-KINDS = ("LOOP_CLOSURE", "OPERATION", "MAP_VERSION")
+KINDS = ("LOOP_CLOSURE", "OPERATION", "MAP_VERSION", "RETENTION")
 
 
 def watch(
@@ -26,7 +26,7 @@ def watch(
         int | None, typer.Option(min=0, help="Begin behind this event; 0: with the oldest that is kept.")
     ] = None,
     kind: Annotated[
-        list[str] | None, typer.Option(help="LOOP_CLOSURE, OPERATION or MAP_VERSION; may be given again.")
+        list[str] | None, typer.Option(help="LOOP_CLOSURE, OPERATION, MAP_VERSION or RETENTION; may be given again.")
     ] = None,
     count: Annotated[int | None, typer.Option(min=1, help="End after so many events.")] = None,
     http: Http = HTTP,
@@ -58,6 +58,8 @@ def _sentences(event: Event) -> Iterator[str]:
         yield number + _of_operation(event.operation)
     elif event.map_version is not None:
         yield number + _of_version(event.map_version)
+    elif event.retention is not None:
+        yield number + _of_retention(event.retention)
     else:
         yield number + "earlier events are no longer kept: list again what is of interest"
 
@@ -76,6 +78,11 @@ def _of_version(version: MapVersion) -> str:
     of = version.summary
     back = f" with the poses of version {version.restored_from}" if version.restored_from else ""
     return f"map version {version.version}{back}: {of.submaps} submaps, {of.loops_in_map} loop closures hold it"
+
+
+def _of_retention(report: RetentionReport) -> str:
+    freed = sum(one.bytes for one in report.rules)
+    return f"retention has removed {1e-6 * freed:.1f} MB by {', '.join(one.rule for one in report.rules)}"
 
 
 def short_name(name: str) -> str:

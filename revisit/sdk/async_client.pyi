@@ -19,9 +19,12 @@ from revisit.sdk.resources import MapDistances
 from revisit.sdk.resources import MapFile
 from revisit.sdk.resources import MapMerge
 from revisit.sdk.resources import MapPoints
+from revisit.sdk.resources import MapRetention
 from revisit.sdk.resources import MapTile
 from revisit.sdk.resources import MapVersion
 from revisit.sdk.resources import Operation
+from revisit.sdk.resources import RetentionPolicy
+from revisit.sdk.resources import RetentionReport
 from revisit.sdk.resources import Robot
 from revisit.sdk.resources import SearchHit
 from revisit.sdk.resources import Session
@@ -78,6 +81,12 @@ class Maps:
     async def list(self) -> builtins.list[Map]:
         ...
     async def delete(self, map_: str | Map) -> None:
+        ...
+    async def retention(self, map_: str | Map) -> MapRetention:
+        ...
+    async def set_retention(self, map_: str | Map, policy: RetentionPolicy | None) -> MapRetention:
+        ...
+    async def preview_retention(self, map_: str | Map, policy: RetentionPolicy | None=None) -> RetentionReport:
         ...
     async def optimise(self, map_: str | Map) -> Operation:
         ...

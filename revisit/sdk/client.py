@@ -125,6 +125,9 @@ class Client:
         self.map_merges = self.maps.merges
         self.get_map_merge = self.maps.get_merge
         self.revert_merge = self.maps.revert_merge
+        self.retention = self.maps.retention
+        self.set_retention = self.maps.set_retention
+        self.preview_retention = self.maps.preview_retention
         self.create_robot = self.robots.create
         self.get_robot = self.robots.get
         self.list_robots = self.robots.list
@@ -243,7 +246,8 @@ class Client:
         """The events of a map as they happen, in a loop: `for event in client.watch("maps/yard"): ...`.
 
         `after` is the number of the last event that was seen, 0 for all that are kept; without it, from now on.
-        `kinds` keeps LOOP_CLOSURE, OPERATION or MAP_VERSION. It bridges lost connections; leave the loop to end it.
+        `kinds` keeps LOOP_CLOSURE, OPERATION, MAP_VERSION or RETENTION. It bridges lost connections; leave the loop to
+        end it.
         """
         fields = {"parent": name_of(map_, names.MAP), "after": after, "kinds": list(kinds)}
         return Watch(self._transport, request_of(event_pb2.WatchEventsRequest, fields))

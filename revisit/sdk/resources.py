@@ -62,6 +62,69 @@ class Map(Resource):
 
 
 @dataclass(frozen=True, kw_only=True)
+class RetentionPolicy(Resource):
+    """What a map keeps. An absent number removes nothing."""
+
+    keep_scans: str = ""
+    """ALL, DESCRIBED or NONE."""
+    scans_after_hours: float = 0.0
+    """So many hours after the description of their submap the other scans go: 0 to 876000; 0 is at once."""
+    best_submaps: int | None = None
+    """So many submaps of a place, the best, stay in the index: 1 to 100. The others are retired."""
+    session_days: float | None = None
+    """Sessions that ended so many days ago go: 1/24 to 36500. Where the map rests on one, its submaps are retired."""
+    dropped_session_days: float | None = None
+    """Sessions that ended so many days ago and that the map does not rest on go: 1/24 to 36500."""
+    rejected_days: float | None = None
+    """So many days the evidence of rejected pairs stays: 1/24 to 36500."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class RetentionOutcome(Resource):
+    """How much one rule has removed, or would."""
+
+    rule: str = ""
+    """SESSIONS, BEST_SUBMAPS, SCANS or REJECTED_LOOPS."""
+    sessions: int = 0
+    submaps: int = 0
+    """Submaps that are deleted or retired; of the rule SCANS, submaps that keep fewer scans."""
+    scans: int = 0
+    loop_closures: int = 0
+    bytes: int = 0
+    """Bytes on the disk: of blobs as weighed, of rows about."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class RetentionReport(Resource):
+    """What a run has removed, or would."""
+
+    at_ns: int = 0
+    rules: tuple[RetentionOutcome, ...] = ()
+    """One for each rule that had anything to do."""
+    submaps_held: int = 0
+    """Submaps that stay because a loop closure of theirs waits for a decision."""
+    sessions_held: int = 0
+    """Sessions that stay because the map rests on them; their submaps are retired."""
+    bytes_estimated: bool = False
+    """Not each blob was weighed."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class MapRetention(Resource):
+    """The policy of a map in force."""
+
+    map: str = ""
+    """maps/{map}"""
+    policy: RetentionPolicy
+    own: bool = False
+    """The policy is the map's own, not that of the service."""
+    redescription: str = ""
+    """FROM_SCANS or FROM_NEURAL_MAPS."""
+    last_run: RetentionReport | None = None
+    """Absent before anything was removed."""
+
+
+@dataclass(frozen=True, kw_only=True)
 class Robot(Resource):
     """A robot."""
 
@@ -142,7 +205,7 @@ class Submap(Resource):
     name: str = ""
     """maps/{map}/sessions/{session}/submaps/{submap}"""
     state: str = ""
-    """QUEUED, DESCRIBED or FAILED."""
+    """QUEUED, DESCRIBED, FAILED or RETIRED."""
     ordinal: int = 0
     """Counts the submaps of its session from 0."""
     T_odom_submap: Matrix4 = field(compare=False)
@@ -171,6 +234,8 @@ class Submap(Resource):
     """Grows with every submap of the map, in the order in which they were stored: what min_seq of a query takes."""
     in_map: MapPose | None = field(default=None, compare=False, metadata=read_by(in_map("t_map_submap")))
     """The pose in a frame of the map; None while no version of the map has the session."""
+    kept_scans: str = ""
+    """Which of its scans, or whether its posted cloud, is still kept. ALL, DESCRIBED or NONE."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -441,12 +506,13 @@ class Event(Resource):
     number.
     """
     kind: str = ""
-    """LOOP_CLOSURE, OPERATION, OPENED, MAP_VERSION or FORGOTTEN."""
+    """LOOP_CLOSURE, OPERATION, OPENED, MAP_VERSION, RETENTION or FORGOTTEN."""
     map: str = ""
     """maps/{map}"""
     loop_closure: LoopClosure | None = None
     operation: Operation | None = None
     map_version: MapVersion | None = None
+    retention: RetentionReport | None = None
 
 
 @dataclass(frozen=True, kw_only=True)

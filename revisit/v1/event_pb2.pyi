@@ -1,6 +1,7 @@
 from revisit.v1 import loop_closure_pb2 as _loop_closure_pb2
 from revisit.v1 import mapping_pb2 as _mapping_pb2
 from revisit.v1 import operation_pb2 as _operation_pb2
+from revisit.v1 import retention_pb2 as _retention_pb2
 from google.protobuf.internal import containers as _containers
 from google.protobuf.internal import enum_type_wrapper as _enum_type_wrapper
 from google.protobuf import descriptor as _descriptor
@@ -11,7 +12,7 @@ from typing import ClassVar as _ClassVar, Optional as _Optional, Union as _Union
 DESCRIPTOR: _descriptor.FileDescriptor
 
 class Event(_message.Message):
-    __slots__ = ("number", "kind", "map", "loop_closure", "operation", "map_version")
+    __slots__ = ("number", "kind", "map", "loop_closure", "operation", "map_version", "retention")
     class Kind(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
         __slots__ = ()
         KIND_UNSPECIFIED: _ClassVar[Event.Kind]
@@ -19,12 +20,14 @@ class Event(_message.Message):
         OPERATION: _ClassVar[Event.Kind]
         OPENED: _ClassVar[Event.Kind]
         MAP_VERSION: _ClassVar[Event.Kind]
+        RETENTION: _ClassVar[Event.Kind]
         FORGOTTEN: _ClassVar[Event.Kind]
     KIND_UNSPECIFIED: Event.Kind
     LOOP_CLOSURE: Event.Kind
     OPERATION: Event.Kind
     OPENED: Event.Kind
     MAP_VERSION: Event.Kind
+    RETENTION: Event.Kind
     FORGOTTEN: Event.Kind
     NUMBER_FIELD_NUMBER: _ClassVar[int]
     KIND_FIELD_NUMBER: _ClassVar[int]
@@ -32,13 +35,15 @@ class Event(_message.Message):
     LOOP_CLOSURE_FIELD_NUMBER: _ClassVar[int]
     OPERATION_FIELD_NUMBER: _ClassVar[int]
     MAP_VERSION_FIELD_NUMBER: _ClassVar[int]
+    RETENTION_FIELD_NUMBER: _ClassVar[int]
     number: int
     kind: Event.Kind
     map: str
     loop_closure: _loop_closure_pb2.LoopClosure
     operation: _operation_pb2.Operation
     map_version: _mapping_pb2.MapVersion
-    def __init__(self, number: _Optional[int] = ..., kind: _Optional[_Union[Event.Kind, str]] = ..., map: _Optional[str] = ..., loop_closure: _Optional[_Union[_loop_closure_pb2.LoopClosure, _Mapping]] = ..., operation: _Optional[_Union[_operation_pb2.Operation, _Mapping]] = ..., map_version: _Optional[_Union[_mapping_pb2.MapVersion, _Mapping]] = ...) -> None: ...
+    retention: _retention_pb2.RetentionReport
+    def __init__(self, number: _Optional[int] = ..., kind: _Optional[_Union[Event.Kind, str]] = ..., map: _Optional[str] = ..., loop_closure: _Optional[_Union[_loop_closure_pb2.LoopClosure, _Mapping]] = ..., operation: _Optional[_Union[_operation_pb2.Operation, _Mapping]] = ..., map_version: _Optional[_Union[_mapping_pb2.MapVersion, _Mapping]] = ..., retention: _Optional[_Union[_retention_pb2.RetentionReport, _Mapping]] = ...) -> None: ...
 
 class WatchEventsRequest(_message.Message):
     __slots__ = ("parent", "after", "kinds")

@@ -25,43 +25,44 @@ _sym_db = _symbol_database.Default()
 from revisit.v1 import cloud_pb2 as revisit_dot_v1_dot_cloud__pb2
 from revisit.v1 import geometry_pb2 as revisit_dot_v1_dot_geometry__pb2
 from revisit.v1 import operation_pb2 as revisit_dot_v1_dot_operation__pb2
+from revisit.v1 import retention_pb2 as revisit_dot_v1_dot_retention__pb2
 
 
-DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n\x17revisit/v1/submap.proto\x12\nrevisit.v1\x1a\x16revisit/v1/cloud.proto\x1a\x19revisit/v1/geometry.proto\x1a\x1arevisit/v1/operation.proto\"\xa8\x05\n\x06Submap\x12\x0c\n\x04name\x18\x01 \x01(\t\x12\'\n\x05state\x18\x02 \x01(\x0e\x32\x18.revisit.v1.Submap.State\x12\x0f\n\x07ordinal\x18\x03 \x01(\r\x12,\n\rt_odom_submap\x18\x04 \x01(\x0b\x32\x15.revisit.v1.Transform\x12\'\n\nposition_m\x18\x05 \x01(\x0b\x32\x13.revisit.v1.Vector3\x12\x10\n\x08stamp_ns\x18\x06 \x01(\x03\x12\x16\n\tfirst_seq\x18\x07 \x01(\x04H\x00\x88\x01\x01\x12\x15\n\x08last_seq\x18\x08 \x01(\x04H\x01\x88\x01\x01\x12\x12\n\nscan_count\x18\t \x01(\r\x12\x13\n\x0bpoint_count\x18\n \x01(\r\x12\x11\n\traw_bytes\x18\x0b \x01(\r\x12\x1d\n\x10neural_map_bytes\x18\x0c \x01(\rH\x02\x88\x01\x01\x12\r\n\x05\x66lags\x18\r \x03(\t\x12\x15\n\rmodel_version\x18\x0e \x01(\t\x12$\n\x07\x66\x61ilure\x18\x0f \x01(\x0b\x32\x13.revisit.v1.Failure\x12\x11\n\toperation\x18\x10 \x01(\t\x12\x15\n\rcreated_at_ns\x18\x11 \x01(\x03\x12\x18\n\x10place_descriptor\x18\x12 \x03(\x02\x12\x0b\n\x03seq\x18\x13 \x01(\x04\x12+\n\x0ct_map_submap\x18\x14 \x01(\x0b\x32\x15.revisit.v1.Transform\x12\r\n\x05\x66rame\x18\x15 \x01(\t\x12\x13\n\x0bmap_version\x18\x16 \x01(\x04\"E\n\x05State\x12\x15\n\x11STATE_UNSPECIFIED\x10\x00\x12\n\n\x06QUEUED\x10\x01\x12\r\n\tDESCRIBED\x10\x02\x12\n\n\x06\x46\x41ILED\x10\x03\x42\x0c\n\n_first_seqB\x0b\n\t_last_seqB\x13\n\x11_neural_map_bytes\"\x98\x01\n\x11PostSubmapRequest\x12\x0e\n\x06parent\x18\x01 \x01(\t\x12\x11\n\tsubmap_id\x18\x02 \x01(\t\x12,\n\rt_odom_submap\x18\x03 \x01(\x0b\x32\x15.revisit.v1.Transform\x12\x10\n\x08stamp_ns\x18\x04 \x01(\x03\x12 \n\x05\x63loud\x18\x05 \x01(\x0b\x32\x11.revisit.v1.Cloud\"\x9b\x01\n\x12PostSubmapResponse\x12\"\n\x06submap\x18\x01 \x01(\x0b\x32\x12.revisit.v1.Submap\x12(\n\toperation\x18\x02 \x01(\x0b\x32\x15.revisit.v1.Operation\x12\x0e\n\x06replay\x18\x03 \x01(\x08\x12\'\n\x06report\x18\x04 \x01(\x0b\x32\x17.revisit.v1.CloudReport\"\x84\x01\n\x10GetSubmapRequest\x12\x0c\n\x04name\x18\x01 \x01(\t\x12/\n\x04view\x18\x02 \x01(\x0e\x32!.revisit.v1.GetSubmapRequest.View\"1\n\x04View\x12\x14\n\x10VIEW_UNSPECIFIED\x10\x00\x12\t\n\x05\x42\x41SIC\x10\x01\x12\x08\n\x04\x46ULL\x10\x02\"7\n\x11GetSubmapResponse\x12\"\n\x06submap\x18\x01 \x01(\x0b\x32\x12.revisit.v1.Submap\"K\n\x12ListSubmapsRequest\x12\x0e\n\x06parent\x18\x01 \x01(\t\x12\x11\n\tpage_size\x18\x02 \x01(\x05\x12\x12\n\npage_token\x18\x03 \x01(\t\"S\n\x13ListSubmapsResponse\x12#\n\x07submaps\x18\x01 \x03(\x0b\x32\x12.revisit.v1.Submap\x12\x17\n\x0fnext_page_token\x18\x02 \x01(\t\"#\n\x13\x44\x65leteSubmapRequest\x12\x0c\n\x04name\x18\x01 \x01(\t\"\x16\n\x14\x44\x65leteSubmapResponse\"\xcb\x01\n\x15\x44ownloadSubmapRequest\x12\x0c\n\x04name\x18\x01 \x01(\t\x12\x38\n\x06\x66ormat\x18\x02 \x01(\x0e\x32(.revisit.v1.DownloadSubmapRequest.Format\"j\n\x06\x46ormat\x12\x16\n\x12\x46ORMAT_UNSPECIFIED\x10\x00\x12\x07\n\x03PCD\x10\x01\x12\x07\n\x03PLY\x10\x02\x12\x07\n\x03NPY\x10\x03\x12\x08\n\x04MESH\x10\x04\x12\n\n\x06NEURAL\x10\x05\x12\x0e\n\nDESCRIPTOR\x10\x06\x12\x07\n\x03GLB\x10\x07\"L\n\x16\x44ownloadSubmapResponse\x12\x12\n\nmedia_type\x18\x01 \x01(\t\x12\x10\n\x08\x66ilename\x18\x02 \x01(\t\x12\x0c\n\x04\x64\x61ta\x18\x03 \x01(\x0c\x32\xa4\x03\n\rSubmapService\x12K\n\nPostSubmap\x12\x1d.revisit.v1.PostSubmapRequest\x1a\x1e.revisit.v1.PostSubmapResponse\x12H\n\tGetSubmap\x12\x1c.revisit.v1.GetSubmapRequest\x1a\x1d.revisit.v1.GetSubmapResponse\x12N\n\x0bListSubmaps\x12\x1e.revisit.v1.ListSubmapsRequest\x1a\x1f.revisit.v1.ListSubmapsResponse\x12Q\n\x0c\x44\x65leteSubmap\x12\x1f.revisit.v1.DeleteSubmapRequest\x1a .revisit.v1.DeleteSubmapResponse\x12Y\n\x0e\x44ownloadSubmap\x12!.revisit.v1.DownloadSubmapRequest\x1a\".revisit.v1.DownloadSubmapResponse0\x01\x62\x06proto3')
+DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n\x17revisit/v1/submap.proto\x12\nrevisit.v1\x1a\x16revisit/v1/cloud.proto\x1a\x19revisit/v1/geometry.proto\x1a\x1arevisit/v1/operation.proto\x1a\x1arevisit/v1/retention.proto\"\xec\x05\n\x06Submap\x12\x0c\n\x04name\x18\x01 \x01(\t\x12\'\n\x05state\x18\x02 \x01(\x0e\x32\x18.revisit.v1.Submap.State\x12\x0f\n\x07ordinal\x18\x03 \x01(\r\x12,\n\rt_odom_submap\x18\x04 \x01(\x0b\x32\x15.revisit.v1.Transform\x12\'\n\nposition_m\x18\x05 \x01(\x0b\x32\x13.revisit.v1.Vector3\x12\x10\n\x08stamp_ns\x18\x06 \x01(\x03\x12\x16\n\tfirst_seq\x18\x07 \x01(\x04H\x00\x88\x01\x01\x12\x15\n\x08last_seq\x18\x08 \x01(\x04H\x01\x88\x01\x01\x12\x12\n\nscan_count\x18\t \x01(\r\x12\x13\n\x0bpoint_count\x18\n \x01(\r\x12\x11\n\traw_bytes\x18\x0b \x01(\r\x12\x1d\n\x10neural_map_bytes\x18\x0c \x01(\rH\x02\x88\x01\x01\x12\r\n\x05\x66lags\x18\r \x03(\t\x12\x15\n\rmodel_version\x18\x0e \x01(\t\x12$\n\x07\x66\x61ilure\x18\x0f \x01(\x0b\x32\x13.revisit.v1.Failure\x12\x11\n\toperation\x18\x10 \x01(\t\x12\x15\n\rcreated_at_ns\x18\x11 \x01(\x03\x12\x18\n\x10place_descriptor\x18\x12 \x03(\x02\x12\x0b\n\x03seq\x18\x13 \x01(\x04\x12+\n\x0ct_map_submap\x18\x14 \x01(\x0b\x32\x15.revisit.v1.Transform\x12\r\n\x05\x66rame\x18\x15 \x01(\t\x12\x13\n\x0bmap_version\x18\x16 \x01(\x04\x12\x35\n\nkept_scans\x18\x17 \x01(\x0e\x32!.revisit.v1.RetentionPolicy.Scans\"R\n\x05State\x12\x15\n\x11STATE_UNSPECIFIED\x10\x00\x12\n\n\x06QUEUED\x10\x01\x12\r\n\tDESCRIBED\x10\x02\x12\n\n\x06\x46\x41ILED\x10\x03\x12\x0b\n\x07RETIRED\x10\x04\x42\x0c\n\n_first_seqB\x0b\n\t_last_seqB\x13\n\x11_neural_map_bytes\"\x98\x01\n\x11PostSubmapRequest\x12\x0e\n\x06parent\x18\x01 \x01(\t\x12\x11\n\tsubmap_id\x18\x02 \x01(\t\x12,\n\rt_odom_submap\x18\x03 \x01(\x0b\x32\x15.revisit.v1.Transform\x12\x10\n\x08stamp_ns\x18\x04 \x01(\x03\x12 \n\x05\x63loud\x18\x05 \x01(\x0b\x32\x11.revisit.v1.Cloud\"\x9b\x01\n\x12PostSubmapResponse\x12\"\n\x06submap\x18\x01 \x01(\x0b\x32\x12.revisit.v1.Submap\x12(\n\toperation\x18\x02 \x01(\x0b\x32\x15.revisit.v1.Operation\x12\x0e\n\x06replay\x18\x03 \x01(\x08\x12\'\n\x06report\x18\x04 \x01(\x0b\x32\x17.revisit.v1.CloudReport\"\x84\x01\n\x10GetSubmapRequest\x12\x0c\n\x04name\x18\x01 \x01(\t\x12/\n\x04view\x18\x02 \x01(\x0e\x32!.revisit.v1.GetSubmapRequest.View\"1\n\x04View\x12\x14\n\x10VIEW_UNSPECIFIED\x10\x00\x12\t\n\x05\x42\x41SIC\x10\x01\x12\x08\n\x04\x46ULL\x10\x02\"7\n\x11GetSubmapResponse\x12\"\n\x06submap\x18\x01 \x01(\x0b\x32\x12.revisit.v1.Submap\"K\n\x12ListSubmapsRequest\x12\x0e\n\x06parent\x18\x01 \x01(\t\x12\x11\n\tpage_size\x18\x02 \x01(\x05\x12\x12\n\npage_token\x18\x03 \x01(\t\"S\n\x13ListSubmapsResponse\x12#\n\x07submaps\x18\x01 \x03(\x0b\x32\x12.revisit.v1.Submap\x12\x17\n\x0fnext_page_token\x18\x02 \x01(\t\"#\n\x13\x44\x65leteSubmapRequest\x12\x0c\n\x04name\x18\x01 \x01(\t\"\x16\n\x14\x44\x65leteSubmapResponse\"\xcb\x01\n\x15\x44ownloadSubmapRequest\x12\x0c\n\x04name\x18\x01 \x01(\t\x12\x38\n\x06\x66ormat\x18\x02 \x01(\x0e\x32(.revisit.v1.DownloadSubmapRequest.Format\"j\n\x06\x46ormat\x12\x16\n\x12\x46ORMAT_UNSPECIFIED\x10\x00\x12\x07\n\x03PCD\x10\x01\x12\x07\n\x03PLY\x10\x02\x12\x07\n\x03NPY\x10\x03\x12\x08\n\x04MESH\x10\x04\x12\n\n\x06NEURAL\x10\x05\x12\x0e\n\nDESCRIPTOR\x10\x06\x12\x07\n\x03GLB\x10\x07\"L\n\x16\x44ownloadSubmapResponse\x12\x12\n\nmedia_type\x18\x01 \x01(\t\x12\x10\n\x08\x66ilename\x18\x02 \x01(\t\x12\x0c\n\x04\x64\x61ta\x18\x03 \x01(\x0c\x32\xa4\x03\n\rSubmapService\x12K\n\nPostSubmap\x12\x1d.revisit.v1.PostSubmapRequest\x1a\x1e.revisit.v1.PostSubmapResponse\x12H\n\tGetSubmap\x12\x1c.revisit.v1.GetSubmapRequest\x1a\x1d.revisit.v1.GetSubmapResponse\x12N\n\x0bListSubmaps\x12\x1e.revisit.v1.ListSubmapsRequest\x1a\x1f.revisit.v1.ListSubmapsResponse\x12Q\n\x0c\x44\x65leteSubmap\x12\x1f.revisit.v1.DeleteSubmapRequest\x1a .revisit.v1.DeleteSubmapResponse\x12Y\n\x0e\x44ownloadSubmap\x12!.revisit.v1.DownloadSubmapRequest\x1a\".revisit.v1.DownloadSubmapResponse0\x01\x62\x06proto3')
 
 _globals = globals()
 _builder.BuildMessageAndEnumDescriptors(DESCRIPTOR, _globals)
 _builder.BuildTopDescriptorsAndMessages(DESCRIPTOR, 'revisit.v1.submap_pb2', _globals)
 if not _descriptor._USE_C_DESCRIPTORS:
   DESCRIPTOR._loaded_options = None
-  _globals['_SUBMAP']._serialized_start=119
-  _globals['_SUBMAP']._serialized_end=799
-  _globals['_SUBMAP_STATE']._serialized_start=682
-  _globals['_SUBMAP_STATE']._serialized_end=751
-  _globals['_POSTSUBMAPREQUEST']._serialized_start=802
-  _globals['_POSTSUBMAPREQUEST']._serialized_end=954
-  _globals['_POSTSUBMAPRESPONSE']._serialized_start=957
-  _globals['_POSTSUBMAPRESPONSE']._serialized_end=1112
-  _globals['_GETSUBMAPREQUEST']._serialized_start=1115
-  _globals['_GETSUBMAPREQUEST']._serialized_end=1247
-  _globals['_GETSUBMAPREQUEST_VIEW']._serialized_start=1198
-  _globals['_GETSUBMAPREQUEST_VIEW']._serialized_end=1247
-  _globals['_GETSUBMAPRESPONSE']._serialized_start=1249
-  _globals['_GETSUBMAPRESPONSE']._serialized_end=1304
-  _globals['_LISTSUBMAPSREQUEST']._serialized_start=1306
-  _globals['_LISTSUBMAPSREQUEST']._serialized_end=1381
-  _globals['_LISTSUBMAPSRESPONSE']._serialized_start=1383
-  _globals['_LISTSUBMAPSRESPONSE']._serialized_end=1466
-  _globals['_DELETESUBMAPREQUEST']._serialized_start=1468
-  _globals['_DELETESUBMAPREQUEST']._serialized_end=1503
-  _globals['_DELETESUBMAPRESPONSE']._serialized_start=1505
-  _globals['_DELETESUBMAPRESPONSE']._serialized_end=1527
-  _globals['_DOWNLOADSUBMAPREQUEST']._serialized_start=1530
-  _globals['_DOWNLOADSUBMAPREQUEST']._serialized_end=1733
-  _globals['_DOWNLOADSUBMAPREQUEST_FORMAT']._serialized_start=1627
-  _globals['_DOWNLOADSUBMAPREQUEST_FORMAT']._serialized_end=1733
-  _globals['_DOWNLOADSUBMAPRESPONSE']._serialized_start=1735
-  _globals['_DOWNLOADSUBMAPRESPONSE']._serialized_end=1811
-  _globals['_SUBMAPSERVICE']._serialized_start=1814
-  _globals['_SUBMAPSERVICE']._serialized_end=2234
+  _globals['_SUBMAP']._serialized_start=147
+  _globals['_SUBMAP']._serialized_end=895
+  _globals['_SUBMAP_STATE']._serialized_start=765
+  _globals['_SUBMAP_STATE']._serialized_end=847
+  _globals['_POSTSUBMAPREQUEST']._serialized_start=898
+  _globals['_POSTSUBMAPREQUEST']._serialized_end=1050
+  _globals['_POSTSUBMAPRESPONSE']._serialized_start=1053
+  _globals['_POSTSUBMAPRESPONSE']._serialized_end=1208
+  _globals['_GETSUBMAPREQUEST']._serialized_start=1211
+  _globals['_GETSUBMAPREQUEST']._serialized_end=1343
+  _globals['_GETSUBMAPREQUEST_VIEW']._serialized_start=1294
+  _globals['_GETSUBMAPREQUEST_VIEW']._serialized_end=1343
+  _globals['_GETSUBMAPRESPONSE']._serialized_start=1345
+  _globals['_GETSUBMAPRESPONSE']._serialized_end=1400
+  _globals['_LISTSUBMAPSREQUEST']._serialized_start=1402
+  _globals['_LISTSUBMAPSREQUEST']._serialized_end=1477
+  _globals['_LISTSUBMAPSRESPONSE']._serialized_start=1479
+  _globals['_LISTSUBMAPSRESPONSE']._serialized_end=1562
+  _globals['_DELETESUBMAPREQUEST']._serialized_start=1564
+  _globals['_DELETESUBMAPREQUEST']._serialized_end=1599
+  _globals['_DELETESUBMAPRESPONSE']._serialized_start=1601
+  _globals['_DELETESUBMAPRESPONSE']._serialized_end=1623
+  _globals['_DOWNLOADSUBMAPREQUEST']._serialized_start=1626
+  _globals['_DOWNLOADSUBMAPREQUEST']._serialized_end=1829
+  _globals['_DOWNLOADSUBMAPREQUEST_FORMAT']._serialized_start=1723
+  _globals['_DOWNLOADSUBMAPREQUEST_FORMAT']._serialized_end=1829
+  _globals['_DOWNLOADSUBMAPRESPONSE']._serialized_start=1831
+  _globals['_DOWNLOADSUBMAPRESPONSE']._serialized_end=1907
+  _globals['_SUBMAPSERVICE']._serialized_start=1910
+  _globals['_SUBMAPSERVICE']._serialized_end=2330
 # @@protoc_insertion_point(module_scope)

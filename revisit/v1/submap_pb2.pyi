@@ -1,6 +1,7 @@
 from revisit.v1 import cloud_pb2 as _cloud_pb2
 from revisit.v1 import geometry_pb2 as _geometry_pb2
 from revisit.v1 import operation_pb2 as _operation_pb2
+from revisit.v1 import retention_pb2 as _retention_pb2
 from google.protobuf.internal import containers as _containers
 from google.protobuf.internal import enum_type_wrapper as _enum_type_wrapper
 from google.protobuf import descriptor as _descriptor
@@ -11,17 +12,19 @@ from typing import ClassVar as _ClassVar, Optional as _Optional, Union as _Union
 DESCRIPTOR: _descriptor.FileDescriptor
 
 class Submap(_message.Message):
-    __slots__ = ("name", "state", "ordinal", "t_odom_submap", "position_m", "stamp_ns", "first_seq", "last_seq", "scan_count", "point_count", "raw_bytes", "neural_map_bytes", "flags", "model_version", "failure", "operation", "created_at_ns", "place_descriptor", "seq", "t_map_submap", "frame", "map_version")
+    __slots__ = ("name", "state", "ordinal", "t_odom_submap", "position_m", "stamp_ns", "first_seq", "last_seq", "scan_count", "point_count", "raw_bytes", "neural_map_bytes", "flags", "model_version", "failure", "operation", "created_at_ns", "place_descriptor", "seq", "t_map_submap", "frame", "map_version", "kept_scans")
     class State(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
         __slots__ = ()
         STATE_UNSPECIFIED: _ClassVar[Submap.State]
         QUEUED: _ClassVar[Submap.State]
         DESCRIBED: _ClassVar[Submap.State]
         FAILED: _ClassVar[Submap.State]
+        RETIRED: _ClassVar[Submap.State]
     STATE_UNSPECIFIED: Submap.State
     QUEUED: Submap.State
     DESCRIBED: Submap.State
     FAILED: Submap.State
+    RETIRED: Submap.State
     NAME_FIELD_NUMBER: _ClassVar[int]
     STATE_FIELD_NUMBER: _ClassVar[int]
     ORDINAL_FIELD_NUMBER: _ClassVar[int]
@@ -44,6 +47,7 @@ class Submap(_message.Message):
     T_MAP_SUBMAP_FIELD_NUMBER: _ClassVar[int]
     FRAME_FIELD_NUMBER: _ClassVar[int]
     MAP_VERSION_FIELD_NUMBER: _ClassVar[int]
+    KEPT_SCANS_FIELD_NUMBER: _ClassVar[int]
     name: str
     state: Submap.State
     ordinal: int
@@ -66,7 +70,8 @@ class Submap(_message.Message):
     t_map_submap: _geometry_pb2.Transform
     frame: str
     map_version: int
-    def __init__(self, name: _Optional[str] = ..., state: _Optional[_Union[Submap.State, str]] = ..., ordinal: _Optional[int] = ..., t_odom_submap: _Optional[_Union[_geometry_pb2.Transform, _Mapping]] = ..., position_m: _Optional[_Union[_geometry_pb2.Vector3, _Mapping]] = ..., stamp_ns: _Optional[int] = ..., first_seq: _Optional[int] = ..., last_seq: _Optional[int] = ..., scan_count: _Optional[int] = ..., point_count: _Optional[int] = ..., raw_bytes: _Optional[int] = ..., neural_map_bytes: _Optional[int] = ..., flags: _Optional[_Iterable[str]] = ..., model_version: _Optional[str] = ..., failure: _Optional[_Union[_operation_pb2.Failure, _Mapping]] = ..., operation: _Optional[str] = ..., created_at_ns: _Optional[int] = ..., place_descriptor: _Optional[_Iterable[float]] = ..., seq: _Optional[int] = ..., t_map_submap: _Optional[_Union[_geometry_pb2.Transform, _Mapping]] = ..., frame: _Optional[str] = ..., map_version: _Optional[int] = ...) -> None: ...
+    kept_scans: _retention_pb2.RetentionPolicy.Scans
+    def __init__(self, name: _Optional[str] = ..., state: _Optional[_Union[Submap.State, str]] = ..., ordinal: _Optional[int] = ..., t_odom_submap: _Optional[_Union[_geometry_pb2.Transform, _Mapping]] = ..., position_m: _Optional[_Union[_geometry_pb2.Vector3, _Mapping]] = ..., stamp_ns: _Optional[int] = ..., first_seq: _Optional[int] = ..., last_seq: _Optional[int] = ..., scan_count: _Optional[int] = ..., point_count: _Optional[int] = ..., raw_bytes: _Optional[int] = ..., neural_map_bytes: _Optional[int] = ..., flags: _Optional[_Iterable[str]] = ..., model_version: _Optional[str] = ..., failure: _Optional[_Union[_operation_pb2.Failure, _Mapping]] = ..., operation: _Optional[str] = ..., created_at_ns: _Optional[int] = ..., place_descriptor: _Optional[_Iterable[float]] = ..., seq: _Optional[int] = ..., t_map_submap: _Optional[_Union[_geometry_pb2.Transform, _Mapping]] = ..., frame: _Optional[str] = ..., map_version: _Optional[int] = ..., kept_scans: _Optional[_Union[_retention_pb2.RetentionPolicy.Scans, str]] = ...) -> None: ...
 
 class PostSubmapRequest(_message.Message):
     __slots__ = ("parent", "submap_id", "t_odom_submap", "stamp_ns", "cloud")

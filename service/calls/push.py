@@ -9,6 +9,7 @@ from pydantic_core import to_json
 from revisit.service.calls.loops import loop_fields
 from revisit.service.calls.mapping import version_fields
 from revisit.service.calls.operations import operation_fields
+from revisit.service.calls.retention import report_fields
 from revisit.service.domain.identity import TenantId
 from revisit.service.domain.webhooks import DeliveryRecord, WebhookRecord
 from revisit.service.features.events.calls import EventView
@@ -47,6 +48,7 @@ def event_fields(view: EventView) -> Fields:
         loop_closure=None if view.loop is None else loop_fields(view.loop),
         operation=None if view.operation is None else operation_fields(view.operation),
         map_version=None if view.map_version is None else version_fields(view.map_version),
+        retention=None if view.retention is None else report_fields(view.retention),
     )
 
 

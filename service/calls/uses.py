@@ -7,13 +7,24 @@ from functools import partial
 from typing import Any, cast
 
 from revisit.api.calls import Call
-from revisit.service.calls import catalogue, ingest, loops, map_parts, mapping, operations, plain, push, search
+from revisit.service.calls import (
+    catalogue,
+    ingest,
+    loops,
+    map_parts,
+    mapping,
+    operations,
+    plain,
+    push,
+    retention,
+    search,
+)
 from revisit.service.domain.identity import TenantId
 from revisit.service.use_cases import UseCases
 from revisit.service.wire.fields import Fields
 from revisit.service.wire.rendering import Answer
 
-ROOMS = (catalogue, ingest, search, loops, mapping, map_parts, operations, push)
+ROOMS = (catalogue, ingest, search, loops, mapping, map_parts, operations, push, retention)
 
 
 def answers(call: Call, cases: UseCases) -> Callable[[TenantId, Any], Awaitable[Answer]]:

@@ -11,6 +11,10 @@ class NotFound(RevisitError):
     code = ErrorCode.NOT_FOUND
 
 
+class NotKept(NotFound):
+    """The policy of retention of the map has removed what was asked for."""
+
+
 class AlreadyExists(RevisitError):
     """The id is taken by a resource with other content."""
 

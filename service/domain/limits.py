@@ -71,6 +71,14 @@ MIN_SCORE = Range(0.0, 1.0)
 MIN_OVERLAP = Range(0.0, 1.0)
 MAX_SEEN_THROUGH = Range(0.0, 1.0)
 MAP_VERSION = Range(1, LARGEST_INTEGER)
+SCANS_AFTER_HOURS = Range(0.0, 876_000.0, "hours")
+"""After the description of their submap, from when on scans need not be kept."""
+BEST_SUBMAPS = Range(1, 100)
+"""Of a place, that stay in the index."""
+POLICY_CHARACTERS = 200
+"""Of a policy of retention in one line."""
+RETENTION_DAYS = Range(1 / 24, 36_500.0, "days")
+"""From an hour on: what has just been judged, or driven, is still looked at."""
 
 # Clouds
 SCAN_SEQ = Range(1, LARGEST_INTEGER)

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from revisit.core.config import PipelineConfig, Profile
 from revisit.core.profiles import profile_config
 from revisit.service.domain.records import MapRecord
+from revisit.service.domain.retention import KEEPS_ALL, RetentionPolicy
 
 
 @dataclass(frozen=True)
@@ -15,7 +16,7 @@ class Policy:
 
     A map is optimised `optimise_delay_ms` after `optimise_after_loops` accepted loops wait to be asked (0: only when
     somebody asks); its last `map_versions_kept` versions stay.
-    With `webhook_private_networks`, webhooks may lead anywhere.
+    With `webhook_private_networks`, webhooks may lead anywhere. `retention` is of maps without a policy of their own.
     """
 
     pipeline: PipelineConfig = field(default_factory=PipelineConfig)
@@ -27,6 +28,7 @@ class Policy:
     optimise_delay_ms: int = 5000
     map_versions_kept: int = 20
     webhook_private_networks: bool = False
+    retention: RetentionPolicy = KEEPS_ALL
 
     def for_map(self, record: MapRecord) -> PipelineConfig:
         """The parameters of the method in the profile of the map, with its overrides."""

@@ -10,6 +10,7 @@ from dataclasses import dataclass, fields
 from typing import Any
 
 from revisit.service.domain.identity import SessionKey, SubmapKey, TenantId
+from revisit.service.domain.retention import KeptScans
 from revisit.service.domain.states import OperationState
 
 Pose = tuple[float, ...]
@@ -23,7 +24,8 @@ class MapRecord:
     ever changes.
     `loop_candidates` to `max_seen_through` are the map's own `LoopPolicy`. `map_version` is the version of its poses in
     force, 0 for none; `graph_edits` counts the changes that made a part of its pose graph void. `index_file` names the
-    file that its index may be loaded from.
+    file that its index may be loaded from. `retention` is its own `RetentionPolicy` as text, None for that of the
+    service, and `retention_run` the last run that removed anything, JSON (see `features.retention.reports`).
     """
 
     tenant: TenantId
@@ -44,6 +46,8 @@ class MapRecord:
     graph_edits: int = 0
     index_file: str | None = None
     profile: str = "product"
+    retention: str | None = None
+    retention_run: dict[str, Any] | None = None
     number: int = 0
 
 
@@ -122,7 +126,10 @@ class SessionRecord:
 
 @dataclass(frozen=True)
 class ScanRecord:
-    """A scan: its pose, how far the session had travelled, and the blob of its cloud."""
+    """A scan: its pose, how far the session had travelled, and the blob of its cloud ("" where retention removed it).
+
+    `chosen`: kept although its window's other scans are not, because a description was made of it.
+    """
 
     tenant: TenantId
     map_id: str
@@ -133,6 +140,7 @@ class ScanRecord:
     travelled_m: float
     point_count: int
     cloud_sha256: str
+    chosen: bool = False
     number: int = 0
 
 
@@ -143,6 +151,8 @@ class SubmapRecord:
     `seq` is its number within its map, given with its commit. `entered` is the change by which it entered the index of
     its map, 0 before that, and `map_version` the version in force then. `searched`: its loops with those that entered
     before it are there.
+    `kept_scans` says which of its clouds are still kept (a `KeptScans`); `described_at_ns` is None in rows of before
+    there was the column.
     """
 
     tenant: TenantId
@@ -175,6 +185,8 @@ class SubmapRecord:
     map_version: int = 0
     searched: bool = True
     seq: int = 0
+    described_at_ns: int | None = None
+    kept_scans: str = KeptScans.ALL.value
     number: int = 0
 
     @property

@@ -13,11 +13,12 @@ class SessionState(StrEnum):
 
 
 class SubmapState(StrEnum):
-    """Whether a submap has its description."""
+    """Whether a submap has its description; RETIRED: retention has taken it out of the index again."""
 
     QUEUED = "QUEUED"
     DESCRIBED = "DESCRIBED"
     FAILED = "FAILED"
+    RETIRED = "RETIRED"
 
 
 class LoopState(StrEnum):
@@ -53,6 +54,7 @@ class EventKind(StrEnum):
     LOOP_CLOSURE = "LOOP_CLOSURE"
     OPERATION = "OPERATION"
     MAP_VERSION = "MAP_VERSION"
+    RETENTION = "RETENTION"
     OPENED = "OPENED"
     FORGOTTEN = "FORGOTTEN"
 

@@ -113,6 +113,10 @@ class BlobStore(Protocol):
         """Whether the blob is there (its content is not checked)."""
         ...
 
+    def disk_bytes(self, tenant: TenantId, kind: str, sha256: str) -> int:
+        """What the blob takes of the store's room, as `du` counts it; 0 where there is none."""
+        ...
+
     def delete(self, blobs: Collection[StoredBlob]) -> None:
         """Forget the blobs; those that are not there are none the less gone. Raises StorageUncertain."""
         ...

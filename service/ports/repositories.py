@@ -150,6 +150,25 @@ class FoundSubmap:
         return SubmapKey(self.map_id, self.session_id, self.submap_id)
 
 
+@dataclass(frozen=True)
+class SubmapStanding:
+    """A submap as retention looks at it: its scans `first_seq`..`last_seq` (None for a posted cloud), how far it has
+    come, which scans it keeps, and what speaks for it.
+    """
+
+    number: int
+    session_id: str
+    state: str
+    first_seq: int | None
+    last_seq: int | None
+    kept_scans: str
+    created_at_ns: int
+    described_at_ns: int | None
+    point_count: int
+    flags: tuple[str, ...]
+    searched: bool
+
+
 class FoundSubmaps(Protocol):
     """Submaps as a search tells of them."""
 
@@ -179,6 +198,10 @@ class SubmapRepository(Repository[SubmapRecord], FoundSubmaps, Protocol):
         self, tenant: TenantId, map_id: str, session_id: str, ordinal: int, limit: int, *, back: bool = False
     ) -> list[PathPoint]:
         """The next `limit` submaps of a session behind place `ordinal`, or, with `back`, before it: nearest first."""
+        ...
+
+    def standings(self, tenant: TenantId, map_id: str, session_id: str | None = None) -> list[SubmapStanding]:
+        """The submaps of a map, or of one of its sessions, by number, without descriptors and names."""
         ...
 
     def first_waiting(self, tenant: TenantId, map_id: str) -> int | None:

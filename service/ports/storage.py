@@ -16,6 +16,7 @@ from revisit.service.domain.errors import (
     AlreadyExists,
     BlobCollected,
     NotFound,
+    NotKept,
     NotReady,
     SessionFinished,
     StillDeleting,
@@ -157,8 +158,13 @@ def require_submap(uow: UnitOfWork, tenant: TenantId, key: SubmapKey) -> SubmapR
 
 
 def require_descriptor(record: SubmapRecord) -> bytes:
-    """The descriptor of a submap. Raises NotReady before it is described; DataLoss where it is damaged."""
+    """The descriptor of a submap.
+
+    Raises NotReady before it is described; NotKept where it is retired; DataLoss where it is damaged.
+    """
     if record.descriptor is None:
+        if record.state == SubmapState.RETIRED:
+            raise NotKept(f"submap {record.submap_id} is retired: its map keeps the best submaps of a place")
         if record.state == SubmapState.DESCRIBED:
             name = SubmapKey(record.map_id, record.session_id, record.submap_id).name
             raise DataLoss(f"the descriptor of {name} is damaged; delete the submap and post it again"[:300])

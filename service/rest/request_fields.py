@@ -31,6 +31,11 @@ BOUNDS: dict[str, Range] = {
     "max_seen_through": limits.MAX_SEEN_THROUGH,
     "k": limits.K,
     "min_similarity": limits.MIN_SIMILARITY,
+    "scans_after_hours": limits.SCANS_AFTER_HOURS,
+    "best_submaps": limits.BEST_SUBMAPS,
+    "session_days": limits.RETENTION_DAYS,
+    "dropped_session_days": limits.RETENTION_DAYS,
+    "rejected_days": limits.RETENTION_DAYS,
     "version": limits.MAP_VERSION,
     "radius_m": limits.RADIUS_M,
     "within_m": limits.MAP_RADIUS_M,
@@ -68,6 +73,7 @@ TEXTS: dict[str, dict[str, Any]] = {
 """Of strings."""
 
 DEFAULTS: dict[str, Any] = {
+    "policy": None,
     "profile": CreateMap.profile,
     "scene_scale": 1.0,
     "k": SearchCriteria().k,

@@ -73,6 +73,7 @@ CALLS = {
     "SqlSubmaps.path": lambda uow: [uow.submaps.path(TENANT, "town", "monday", 0, 5, back=back) for back in (0, 1)],
     "SqlLoops.telling": lambda uow: uow.loops.telling(TENANT, [1, 2], ["AMBIGUOUS"]),
     "SqlLoops.reasons": lambda uow: uow.loops.reasons(TENANT, [1, 2]),
+    "SqlSubmaps.standings": lambda uow: [uow.submaps.standings(TENANT, "town", one) for one in (None, "monday")],
     "SqlSubmaps.first_waiting": lambda uow: uow.submaps.first_waiting(TENANT, "town"),
     "SqlSubmaps.first_unsearched": lambda uow: uow.submaps.first_unsearched(TENANT, "town"),
     "SqlJobs.unfinished": lambda uow: uow.jobs.unfinished(TENANT, {"op-1", "op-2"}),

@@ -55,6 +55,12 @@ def test_a_deleted_blob_is_gone_and_deleting_it_again_is_nothing(blobs):
     assert not blobs.exists(TENANT, "cloud", name)
 
 
+def test_a_blob_says_what_it_takes_and_nothing_takes_nothing(blobs):
+    name = blobs.put(TENANT, "cloud", bytes(10_000))
+    assert 10_000 <= blobs.disk_bytes(TENANT, "cloud", name) <= 3 * 10_000
+    assert blobs.disk_bytes(OTHER, "cloud", name) == 0
+
+
 def test_all_blobs_of_all_tenants_are_listed_once_they_are_old_enough(blobs):
     kept = {(TENANT, "cloud", blobs.put(TENANT, "cloud", b"points")), (OTHER, "mesh", blobs.put(OTHER, "mesh", b"m"))}
     forgotten = [StoredBlob(OTHER, "mesh", blobs.put(OTHER, "mesh", bytes([number]))) for number in range(3)]

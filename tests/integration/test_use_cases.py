@@ -30,7 +30,7 @@ from revisit.service.features.ingest.calls import ScanStream
 from revisit.service.features.resources.paging import PageRequest
 from revisit.service.features.search.calls import LocalizeQuery
 from revisit.service.features.upkeep import sweeping
-from revisit.service.features.upkeep.retention import forget_answers
+from revisit.service.features.upkeep.forgetting import forget_answers
 from revisit.service.features.upkeep.sweeping import UNREFERENCED_S, collect
 from revisit.service.ports.blobs import CLOUD_BLOB, QUERY_CLOUD_BLOB
 from tests.support.fake_recogniser import CANNOT_BE_DESCRIBED, RAISES, FakeRecogniser

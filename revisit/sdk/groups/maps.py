@@ -10,7 +10,22 @@ from revisit.sdk import names
 from revisit.sdk.groups.group import Group
 from revisit.sdk.messages import pose_message
 from revisit.sdk.names import name_of
-from revisit.sdk.resources import LoopPolicy, Map, MapMerge, MapVersion, Operation, Session
+from revisit.sdk.resources import (
+    LoopPolicy,
+    Map,
+    MapMerge,
+    MapRetention,
+    MapVersion,
+    Operation,
+    RetentionPolicy,
+    RetentionReport,
+    Session,
+)
+
+
+def _sent(policy: RetentionPolicy | None) -> dict[str, Any] | None:
+    """A policy as a request has it."""
+    return None if policy is None else {name: one for name, one in asdict(policy).items() if one not in (None, "")}
 
 
 class Maps(Group):
@@ -57,6 +72,20 @@ class Maps(Group):
     def delete(self, map_: str | Map) -> None:
         """Delete a map with everything in it."""
         self._ask("DeleteMap", name=name_of(map_, names.MAP))
+
+    def retention(self, map_: str | Map) -> MapRetention:
+        """The policy of retention of a map, and what the last run removed by it."""
+        return MapRetention.of(self._ask("GetRetention", name=name_of(map_, names.MAP)))
+
+    def set_retention(self, map_: str | Map, policy: RetentionPolicy | None) -> MapRetention:
+        """Give a map a policy of its own; None: that of the service. What it removes does not come back."""
+        asked = self._ask("SetRetention", name=name_of(map_, names.MAP), policy=_sent(policy))
+        return MapRetention.of(asked)
+
+    def preview_retention(self, map_: str | Map, policy: RetentionPolicy | None = None) -> RetentionReport:
+        """What a policy, None: that of the map, would remove now."""
+        asked = self._ask("PreviewRetention", name=name_of(map_, names.MAP), policy=_sent(policy))
+        return RetentionReport.of(asked)
 
     def optimise(self, map_: str | Map) -> Operation:
         """Optimise the pose graph of a map: the operation that makes a new version, or the waiting one."""

@@ -100,13 +100,19 @@ class S3BlobStore:
 
     def exists(self, tenant: TenantId, kind: str, sha256: str) -> bool:
         """See `BlobStore`. Raises StorageUncertain."""
+        return self._size(tenant, kind, sha256) is not None
+
+    def disk_bytes(self, tenant: TenantId, kind: str, sha256: str) -> int:
+        """See `BlobStore`: the size of the object. Raises StorageUncertain."""
+        return self._size(tenant, kind, sha256) or 0
+
+    def _size(self, tenant: TenantId, kind: str, sha256: str) -> int | None:
         key = key_of(StoredBlob(tenant, kind, sha256))
         with self._asked():
             try:
-                self._store.head(key)
+                return int(self._store.head(key)["size"])
             except FileNotFoundError:
-                return False
-        return True
+                return None
 
     def delete(self, blobs: Collection[StoredBlob]) -> None:
         """See `BlobStore`: one request for up to 1,000."""

@@ -49,7 +49,7 @@ from revisit.service.engines.sql.checksums import sound_descriptor
 from revisit.service.engines.sql.engine import DatabaseEngine
 from revisit.service.engines.sql.map_numbers import note_submap
 from revisit.service.engines.sql.presence import present
-from revisit.service.ports.repositories import FoundSubmap, PathPoint, PlacedSubmap
+from revisit.service.ports.repositories import FoundSubmap, PathPoint, PlacedSubmap, SubmapStanding
 
 Scalar = str | int | None
 Asked = Mapping[str, Scalar]
@@ -285,6 +285,13 @@ class SqlSubmaps(SqlRepository[SubmapRecord]):
             _path(self._sees_all, back=back), {**asked, "from_ordinal": ordinal, "at_most": limit}
         )
         return [PathPoint(*row) for row in rows]
+
+    def standings(self, tenant: TenantId, map_id: str, session_id: str | None = None) -> list[SubmapStanding]:
+        """See `SubmapRepository`."""
+        asked = of_tenant(tenant, {"map_id": map_id} | ({} if session_id is None else {"session_id": session_id}))
+        columns = (tables.submaps.c[field.name] for field in dataclasses.fields(SubmapStanding))
+        query = select(*columns).where(self._where(asked)).order_by(tables.submaps.c.number)
+        return [SubmapStanding(*row) for row in self._connection.execute(query, asked)]
 
     def first_waiting(self, tenant: TenantId, map_id: str) -> int | None:
         """See `SubmapRepository`."""

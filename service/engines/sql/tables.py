@@ -114,6 +114,8 @@ maps = _numbered(
     Column("graph_edits", BigInteger, nullable=False, server_default="0"),
     _text("index_file", length=128, nullable=True),
     Column("profile", String(16), nullable=False, server_default="product"),
+    _text("retention", length=256, nullable=True),
+    _json("retention_run", nullable=True),
 )
 
 robots = _numbered(
@@ -159,6 +161,7 @@ scans = _numbered(
     _real("travelled_m"),
     _integer("point_count"),
     _text("cloud_sha256"),
+    Column("chosen", Boolean, nullable=False, server_default="0"),
     ForeignKeyConstraint(
         ["tenant", "map_id", "session_id"], ["sessions.tenant", "sessions.map_id", "sessions.session_id"]
     ),
@@ -199,6 +202,8 @@ submaps = _numbered(
     Column("map_version", BigInteger, nullable=False, server_default="0"),
     Column("searched", Boolean, nullable=False, server_default="1"),
     Column("seq", BigInteger, nullable=False, server_default="0"),
+    _integer("described_at_ns", nullable=True),
+    Column("kept_scans", String(16), nullable=False, server_default="ALL"),
     # No field of the record: the engine keeps it, if it keeps any (see `checksums`).
     _integer("checksum", nullable=True),
     ForeignKeyConstraint(
@@ -206,6 +211,7 @@ submaps = _numbered(
     ),
     Index(None, "state", "tenant", "map_id"),
     Index(None, "tenant", "map_id", info={"where": UNSEARCHED}),
+    Index(None, "tenant", "map_id", "kept_scans"),
     Index(None, "tenant", "map_id", "session_id", "ordinal"),
     Index(None, "tenant", "cloud_sha256"),
     Index(None, "tenant", "place_sha256"),

@@ -23,7 +23,7 @@ from revisit.service.domain.identity import TenantId
 from revisit.service.domain.records import SubmapRecord
 from revisit.service.domain.states import SubmapState
 from revisit.service.features.ingest.clouds import StoredCloud, unpack_cloud
-from revisit.service.features.ingest.rows import SubmapSource, load_submap
+from revisit.service.features.ingest.rows import SubmapSource, load_submap, require_scans
 from revisit.service.ports.blobs import CLOUD_BLOB, NEURAL_MAP_BLOB, BlobStore
 from revisit.service.ports.storage import require_descriptor
 
@@ -131,7 +131,7 @@ def named(data: bytes, record: SubmapRecord, kind: DownloadKind, extension: str)
 
 def require_neural_map(record: SubmapRecord) -> str:
     """The hash of a submap's neural map. Raises NotReady before it is described, NotFound where it has none."""
-    if record.state != SubmapState.DESCRIBED:
+    if record.state not in (SubmapState.DESCRIBED, SubmapState.RETIRED):
         raise NotReady
     if record.neural_map_sha256 is None:
         raise NotFound("this submap was described without a neural map")
@@ -153,14 +153,13 @@ def stored_file(
         return _points_file(_points(blobs, record, source), extension)
     if kind is DownloadKind.NEURAL:
         return blobs.get(record.tenant, NEURAL_MAP_BLOB, require_neural_map(record))
-    if record.state != SubmapState.DESCRIBED:
-        raise NotReady
     buffer = io.BytesIO()
     np.save(buffer, np.frombuffer(require_descriptor(record), dtype="<f4"), allow_pickle=False)
     return buffer.getvalue()
 
 
 def _points(blobs: BlobStore, record: SubmapRecord, source: SubmapSource) -> StoredCloud:
+    require_scans(record)
     if source.posted:
         return unpack_cloud(blobs.get(record.tenant, CLOUD_BLOB, source.clouds[0].cloud_sha256))
     return StoredCloud(load_submap(blobs, record, source).points, None)

@@ -44,7 +44,8 @@ def why_no_loops(uow: UnitOfWork, session: SessionRecord, config: LoopConfig) ->
     count = uow.submaps.count(session.tenant, **of_session)
     if not count:
         return NoLoops(NO_SUBMAP, "no submap: nothing was stored of the drive")
-    if not uow.submaps.count(session.tenant, **of_session, state=SubmapState.DESCRIBED.value):
+    once = (SubmapState.DESCRIBED, SubmapState.RETIRED)
+    if not any(uow.submaps.count(session.tenant, **of_session, state=state.value) for state in once):
         return NoLoops(NOT_DESCRIBED, f"{_submaps(count)}, none of which could be described")
     reasons = _reasons(uow, session)
     if None in reasons:

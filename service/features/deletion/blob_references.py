@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 from revisit.service.domain.identity import TenantId
 from revisit.service.domain.records import MapFileRecord, MapTileRecord, ScanRecord, SubmapRecord
 from revisit.service.ports.blobs import CLOUD_BLOB, MAP_LAYOUT_BLOB, NEURAL_MAP_BLOB, PLACE_BLOB, TILE_BLOB, Blob
@@ -21,9 +23,9 @@ def blobs_of_submap(record: SubmapRecord) -> set[Blob]:
     return {(kind, sha256) for kind, sha256 in named if sha256 is not None}
 
 
-def blob_of_scan(record: ScanRecord) -> Blob:
-    """The blob of a scan's cloud."""
-    return CLOUD_BLOB, record.cloud_sha256
+def blobs_of_scans(scans: Iterable[ScanRecord]) -> set[Blob]:
+    """The blobs of scans' clouds; of one whose cloud was removed there is none."""
+    return {(CLOUD_BLOB, scan.cloud_sha256) for scan in scans if scan.cloud_sha256}
 
 
 def blob_of_tile(record: MapTileRecord) -> Blob:
@@ -53,3 +55,10 @@ def forget_file(uow: UnitOfWork, file: MapFileRecord) -> None:
     tenant = TenantId(file.tenant)
     uow.map_files.delete(tenant, number=file.number)
     uow.blobs.release(tenant, {blob_of_file(file)})
+
+
+def naming(uow: UnitOfWork, tenant: TenantId, blob: Blob) -> int:
+    """How many rows of scans and submaps name a blob of theirs."""
+    kind, sha256 = blob
+    submaps = uow.submaps.count(tenant, **{FIELDS[kind]: sha256})
+    return submaps + (uow.scans.count(tenant, cloud_sha256=sha256) if kind == CLOUD_BLOB else 0)

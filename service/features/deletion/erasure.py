@@ -21,8 +21,8 @@ from revisit.service.domain.records import DeletionRecord
 from revisit.service.failpoints import failpoint
 from revisit.service.features.deletion.blob_references import (
     blob_of_file,
-    blob_of_scan,
     blob_of_tile,
+    blobs_of_scans,
     blobs_of_submap,
 )
 from revisit.service.features.deletion.rows import drop_jobs
@@ -146,7 +146,7 @@ def _submaps(uow: UnitOfWork, deletion: DeletionRecord, now_ns: int) -> bool:
 
 def _scans(uow: UnitOfWork, deletion: DeletionRecord, _: int) -> bool:
     scans = _without(uow.scans, deletion, ROWS)
-    uow.blobs.release(deletion.tenant, {blob_of_scan(scan) for scan in scans})
+    uow.blobs.release(deletion.tenant, blobs_of_scans(scans))
     return bool(scans)
 
 

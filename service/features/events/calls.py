@@ -17,6 +17,7 @@ from revisit.service.domain.states import EventKind
 from revisit.service.features.loops.calls import LoopClosureView
 from revisit.service.features.optimisation.calls import MapVersionView, version_seen
 from revisit.service.features.resources.call_context import CallContext
+from revisit.service.features.retention.reports import RetentionReport
 from revisit.service.features.waiting.event_tail import AGAIN_S, EventTail
 from revisit.service.ports.storage import require_map
 from revisit.service.ports.transactions import UnitOfWork
@@ -42,6 +43,7 @@ class EventView:
     loop: LoopClosureView | None = None
     operation: JobRecord | None = None
     map_version: MapVersionView | None = None
+    retention: RetentionReport | None = None
 
 
 @dataclass(frozen=True)
@@ -131,4 +133,8 @@ def _event_of(uow: UnitOfWork, row: EventRecord) -> EventView | None:
         except NotFound:
             return None
         return EventView(row.number, kind, row.map_id, map_version=version)
+    if kind is EventKind.RETENTION:
+        found = uow.maps.get(row.tenant, row.map_id)
+        report = None if found is None else RetentionReport.of(found.retention_run)
+        return None if report is None else EventView(row.number, kind, row.map_id, retention=report)
     return EventView(row.number, kind, row.map_id)

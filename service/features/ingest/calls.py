@@ -215,7 +215,7 @@ class Scans:
         """Whether this is the stored scan. Another compressor may have packed the stored cloud: then points decide."""
         if not _same_place(stored, accepted):
             return False
-        if stored.cloud_sha256 == accepted.sha256:
+        if stored.cloud_sha256 in (accepted.sha256, ""):  # "": retention has removed it
             return True
         packed = await asyncio.to_thread(
             self._context.storage.blobs.get, stored.tenant, CLOUD_BLOB, stored.cloud_sha256

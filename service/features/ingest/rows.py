@@ -11,8 +11,11 @@ from revisit.core.config import SubmapConfig
 from revisit.core.geometry.se3 import pose_matrix
 from revisit.core.scan import CloudReport, Scan
 from revisit.core.submap import Submap, chosen_scans
+from revisit.service.domain.errors import NotKept
+from revisit.service.domain.identity import SessionKey, TenantId
 from revisit.service.domain.policy import Policy
-from revisit.service.domain.records import Pose, SubmapRecord
+from revisit.service.domain.records import Pose, ScanRecord, SubmapRecord
+from revisit.service.domain.retention import KeptScans
 from revisit.service.features.ingest.clouds import unpack_cloud
 from revisit.service.ports.blobs import CLOUD_BLOB, BlobStore
 from revisit.service.ports.storage import require_map
@@ -43,26 +46,41 @@ class SubmapSource:
 
 
 def submap_source(uow: UnitOfWork, policy: Policy, record: SubmapRecord) -> SubmapSource:
-    """The source of a stored submap."""
+    """The source of a stored submap; without clouds where retention has removed them."""
     config = policy.for_map(require_map(uow, record.tenant, record.map_id)).submap
+    if record.kept_scans == KeptScans.NONE:
+        return SubmapSource((), record.first_seq is None, config, record.T_odom_submap)
     if record.first_seq is None or record.last_seq is None:
         posted = PosedCloud(str(record.cloud_sha256), record.T_odom_submap, record.stamp_ns, record.point_count)
         return SubmapSource((posted,), posted=True, config=config, T_odom_submap=record.T_odom_submap)
-    seqs = chosen_seqs(record.first_seq, record.last_seq)
-    scans = uow.scans.with_seqs(record.tenant, record.map_id, record.session_id, seqs)
-    positions = np.array([pose_matrix(scan.T_odom_sensor)[:3, 3] for scan in scans])
-    rows = chosen_scans(positions, np.array([scan.point_count for scan in scans]), config)
-    clouds = tuple(
-        PosedCloud(scan.cloud_sha256, scan.T_odom_sensor, scan.stamp_ns, scan.point_count)
-        for scan in (scans[row] for row in rows)
-    )
+    session = SessionKey(record.map_id, record.session_id)
+    scans = described_scans(uow, record.tenant, session, (record.first_seq, record.last_seq), config)
+    clouds = tuple(PosedCloud(scan.cloud_sha256, scan.T_odom_sensor, scan.stamp_ns, scan.point_count) for scan in scans)
     return SubmapSource(clouds, posted=False, config=config, T_odom_submap=record.T_odom_submap)
+
+
+def described_scans(
+    uow: UnitOfWork, tenant: TenantId, session: SessionKey, window: tuple[int, int], config: SubmapConfig
+) -> list[ScanRecord]:
+    """The stored scans that the submap of a window, first to last, is described from; none where none is kept."""
+    scans = uow.scans.with_seqs(tenant, session.map_id, session.session_id, chosen_seqs(*window))
+    if not scans:
+        return []
+    positions = np.array([pose_matrix(scan.T_odom_sensor)[:3, 3] for scan in scans])
+    returns = np.array([scan.point_count for scan in scans])
+    return [scans[row] for row in chosen_scans(positions, returns, config)]
+
+
+def require_scans(record: SubmapRecord) -> None:
+    """Raises NotKept where retention has removed the scans of a submap."""
+    if record.kept_scans == KeptScans.NONE:
+        raise NotKept(f"the scans of {record.submap_id} are not kept: its map's policy of retention removed them")
 
 
 def chosen_seqs(first: int, last: int) -> list[int]:
     """The numbers first..last of a window's scans; of more than MAX_SCANS so many, evenly spread, with both ends.
 
-    Stored scans have no gaps, so only the chosen ones are read.
+    Stored scans have no gaps before retention, so only the chosen ones are read.
     """
     if last - first < MAX_SCANS:
         return list(range(first, last + 1))
@@ -70,7 +88,11 @@ def chosen_seqs(first: int, last: int) -> list[int]:
 
 
 def load_submap(blobs: BlobStore, record: SubmapRecord, source: SubmapSource) -> Submap:
-    """The submap with its points: its scans are read one by one, and take no room. Raises DataLoss, EmptyCloud."""
+    """The submap with its points: its scans are read one by one, and take no room.
+
+    Raises DataLoss, EmptyCloud; NotKept where retention has removed them.
+    """
+    require_scans(record)
     scans = each_scan(blobs, record, source)
     if source.posted:
         return Submap.from_cloud(next(scans), source.config)

@@ -21,7 +21,7 @@ from revisit.service.features.loops.calls import LoopClosureView, loop_seen, req
 from revisit.service.features.loops.rows import Change, add_loop, before_last_decision, change_loop
 from revisit.service.features.resources.call_context import CallContext
 from revisit.service.features.resources.paging import Page, PageRequest, as_it_is
-from revisit.service.ports.storage import require_job, require_map, require_submap
+from revisit.service.ports.storage import require_descriptor, require_job, require_map, require_submap
 from revisit.service.ports.transactions import UnitOfWork
 
 OVERRULED = "OVERRULED"
@@ -153,6 +153,7 @@ def _fields_after(uow: UnitOfWork, loop: LoopRecord, kind: LoopEventKind) -> dic
 def _described(uow: UnitOfWork, tenant: TenantId, key: SubmapKey) -> SubmapRecord:
     record = require_submap(uow, tenant, key)
     if record.state != SubmapState.DESCRIBED:
+        require_descriptor(record)
         raise NotReady(f"submap {key.submap_id} is not described")
     return record
 

@@ -23,7 +23,7 @@ from revisit.service.domain.records import LoopRecord, SubmapRecord
 from revisit.service.features.loops.calls import require_loop
 from revisit.service.features.resources.call_context import CallContext
 from revisit.service.ports.blobs import PLACE_BLOB, BlobStore
-from revisit.service.ports.storage import require_submap
+from revisit.service.ports.storage import require_descriptor, require_submap
 from revisit.service.ports.transactions import UnitOfWork
 
 
@@ -88,6 +88,7 @@ def _read(
 
 def _place(blobs: BlobStore, submap: SubmapRecord) -> Place:
     if submap.place_sha256 is None:
+        require_descriptor(submap)
         raise NotReady
     return Place.from_blob(blobs.get(submap.tenant, PLACE_BLOB, submap.place_sha256), surface=False)
 

@@ -136,6 +136,7 @@ class SubmapDescriptionJob:
             place_sha256=sha256[PLACE_BLOB],
             neural_map_sha256=sha256.get(NEURAL_MAP_BLOB),
             neural_map_bytes=None if description.neural_map is None else len(description.neural_map),
+            described_at_ns=self._context.clock.wall_ns(),
         )
         return StoredDescription(row, description, tuple(sha256.items()), put)
 

@@ -20,7 +20,7 @@ from revisit.core.pair_verdict import Authority, InitialPose, PairVerdict, Rejec
 from revisit.service.domain.identity import TenantId
 from revisit.service.domain.policy import Policy
 from revisit.service.domain.records import LoopRecord, MapRecord, SubmapRecord
-from revisit.service.domain.states import LoopEventKind, LoopState
+from revisit.service.domain.states import LoopEventKind, LoopState, SubmapState
 from revisit.service.failpoints import failpoint
 from revisit.service.features.corrections.job import EarlyCorrections
 from revisit.service.features.graph.map_frames import LoopInMap, MapFrames
@@ -189,9 +189,10 @@ def _apart(first: Matrix4, second: Matrix4) -> tuple[bool, float]:
 
 
 def _undecided(uow: UnitOfWork, tenant: TenantId, best: list[_Found]) -> list[RecalledLoop]:
-    """Those that no person has ever decided on, with their submaps."""
+    """Those that no person has ever decided on, with their submaps, which must both be in the index still."""
     numbers = {number for one in best for number in (one.record.query_number, one.record.match_number)}
-    submaps = uow.submaps.numbered(tenant, sorted(numbers))
+    found = uow.submaps.numbered(tenant, sorted(numbers))
+    submaps = {number: one for number, one in found.items() if one.state == SubmapState.DESCRIBED}
     return [
         RecalledLoop(
             one.map,

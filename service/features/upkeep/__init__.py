@@ -1,1 +1,1 @@
-"""Retention, sweeping, readiness, chores."""
+"""Sweeping, forgetting, readiness, chores."""

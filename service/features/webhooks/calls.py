@@ -22,7 +22,7 @@ from revisit.service.ports.transactions import UnitOfWork
 SECRET_PREFIX = "whsec_"
 """The beginning of a secret by Standard Webhooks, which scanners of repositories know."""
 
-TOLD_OF = (EventKind.LOOP_CLOSURE, EventKind.OPERATION, EventKind.MAP_VERSION)
+TOLD_OF = (EventKind.LOOP_CLOSURE, EventKind.OPERATION, EventKind.MAP_VERSION, EventKind.RETENTION)
 """The kinds that a webhook may be kept to; FORGOTTEN comes in any case."""
 
 

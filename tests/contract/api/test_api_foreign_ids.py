@@ -95,6 +95,8 @@ BODIES = {
     ":publish": {},
     ":merge": {"source": "maps/annex"},
     ":revert": {"version": 1},
+    ":setRetention": {"policy": {"best_submaps": 1}},
+    ":previewRetention": {"policy": {"best_submaps": 1}},
     "/loopClosures": {"query": SESSION + "/submaps/b", "match": SESSION + "/submaps/a"},
 }
 """The JSON of a path by its end; of any other it is a cloud."""
@@ -158,6 +160,9 @@ OWN = {
     "GetMapMerge": {"name": "maps/{map}/merges/{merge}"},
     "RevertMapMerge": {"name": "maps/{map}/merges/{merge}"},
     "GetCorrection": {"name": SESSION},
+    "GetRetention": {"name": MAP},
+    "SetRetention": {"name": MAP},
+    "PreviewRetention": {"name": MAP},
     "ListMapFiles": {"parent": MAP},
     "ListLoopClosureEvents": {"parent": LOOP},
     "CreateLoopClosure": {"query": SESSION + "/submaps/b", "match": SESSION + "/submaps/a"},

@@ -33,6 +33,10 @@ class MemoryBlobStore:
         """See `BlobStore`."""
         return (tenant, kind, sha256) in self._blobs
 
+    def disk_bytes(self, tenant: TenantId, kind: str, sha256: str) -> int:
+        """See `BlobStore`."""
+        return len(self._blobs.get((tenant, kind, sha256), b""))
+
     def delete(self, blobs: Collection[StoredBlob]) -> None:
         """See `BlobStore`."""
         for blob in blobs:

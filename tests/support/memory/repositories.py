@@ -26,7 +26,7 @@ from revisit.service.domain.states import EventKind, LoopState, OperationState, 
 from revisit.service.domain.webhooks import News, WebhookRecord
 from revisit.service.ports.clock import Clock, Instant
 from revisit.service.ports.index import IndexChange
-from revisit.service.ports.repositories import FoundSubmap, PathPoint, PlacedSubmap, Waiting
+from revisit.service.ports.repositories import FoundSubmap, PathPoint, PlacedSubmap, SubmapStanding, Waiting
 
 R = TypeVar("R")
 
@@ -240,6 +240,12 @@ class MemorySubmaps(MemoryRepository[SubmapRecord]):
         ahead = [one for one in drive if (one.ordinal < ordinal if back else one.ordinal > ordinal)]
         ahead.sort(key=lambda one: one.ordinal, reverse=back)
         return [PathPoint(one.number, one.ordinal, one.position_m) for one in ahead[:limit]]
+
+    def standings(self, tenant: TenantId, map_id: str, session_id: str | None = None) -> list[SubmapStanding]:
+        """See `SubmapRepository`."""
+        rows = self.find(tenant, map_id=map_id, **({} if session_id is None else {"session_id": session_id}))
+        names = [one.name for one in dataclasses.fields(SubmapStanding)]
+        return [SubmapStanding(*(getattr(row, name) for name in names)) for row in rows]
 
     def first_waiting(self, tenant: TenantId, map_id: str) -> int | None:
         """See `SubmapRepository`."""

@@ -36,6 +36,9 @@ from revisit.service.engines.stored_blobs import (
 )
 from revisit.service.ports.blobs import StoredBlob
 
+BLOCK_BYTES = 512
+"""The unit of `st_blocks`, whatever a file system's own blocks are."""
+
 log = structlog.get_logger(__name__)
 
 
@@ -80,6 +83,13 @@ class FileBlobStore:
     def exists(self, tenant: TenantId, kind: str, sha256: str) -> bool:
         """See `BlobStore`."""
         return self._path(tenant, kind, sha256).exists()
+
+    def disk_bytes(self, tenant: TenantId, kind: str, sha256: str) -> int:
+        """See `BlobStore`."""
+        try:
+            return self._path(tenant, kind, sha256).stat().st_blocks * BLOCK_BYTES
+        except FileNotFoundError:
+            return 0
 
     def delete(self, blobs: Collection[StoredBlob]) -> None:
         """See `BlobStore`. While a backup runs the files stay; the next sweep deletes them."""

@@ -1,4 +1,4 @@
-"""Retention: operations of queries by cloud are deleted some time after they ended, events once there are enough."""
+"""Forgetting: operations of queries by cloud are deleted some time after they ended, events once there are enough."""
 
 from __future__ import annotations
 
