@@ -1,4 +1,4 @@
-"""`python -m revisit.service serve | worker | seen | migrate | unit`: settings come from REVISIT_* variables."""
+"""`python -m revisit.service serve | worker | workers | search | ...`: settings come from REVISIT_* variables."""
 
 from __future__ import annotations
 
@@ -14,14 +14,15 @@ from revisit.service import ONE_THREAD, VERSION
 from revisit.service.worker.optional_libraries import leave_out_optional_libraries
 
 if TYPE_CHECKING:
+    from revisit.service.engines.state import State
     from revisit.service.settings import Settings
 
 CONFIGURATION = 78
 """Exit status for settings that cannot be used (EX_CONFIG)."""
 
-TAKEN = 75
-"""Exit status where another gateway serves the data folder, or the store of blobs does not answer (EX_TEMPFAIL): a
-moment later it may.
+NOT_NOW = 75
+"""Exit status where another gateway serves the data folder, or the database or the store of blobs does not answer
+(EX_TEMPFAIL): a moment later it may be otherwise.
 """
 
 
@@ -63,51 +64,56 @@ def main(arguments: list[str] | None = None) -> int:
 def _started(options: argparse.Namespace, settings: Settings) -> int:
     """Run the command; unusable input is refused in a line."""
     from revisit.core.errors import MissingLibrary
+    from revisit.service.domain.errors import StorageUncertain
     from revisit.service.engines.local.files.filesystem import RemoteFileSystem
-    from revisit.service.engines.schema import ForeignSchema
+    from revisit.service.engines.schema import ForeignSchema, UnusableServer
+    from revisit.service.engines.state import state_of
 
     try:
-        return _run(options, settings)
+        state = state_of(settings.home, settings.database_url)
+        return _run(options, settings, state)
     except ForeignSchema as error:
-        return _refuse(f"the database {settings.database} does not fit this version: {error}")
-    except (RemoteFileSystem, MissingLibrary) as error:
+        return _refuse(f"the database {state.name} does not fit this version: {error}")
+    except (RemoteFileSystem, UnusableServer, MissingLibrary) as error:
         return _refuse(str(error))
+    except StorageUncertain as error:
+        print(f"{state.name}: {error.message}", file=sys.stderr)
+        return NOT_NOW
 
 
-def _run(options: argparse.Namespace, settings: Settings) -> int:
+def _run(options: argparse.Namespace, settings: Settings, state: State) -> int:
     """Run the command that was asked for; the exit status.
 
     Raises ForeignSchema for a database of another version.
     """
-    from revisit.service.engines.local.sqlite.connections import unreadable
-    from revisit.service.engines.local.sqlite.migration import current_revision, migrate
-
-    broken = unreadable(settings.database)
+    broken = state.broken()
     if broken:
         return _refuse(
-            f"{settings.database} cannot be read: {broken}. `revisit restore` makes a data folder of a backup; "
+            f"{state.name} cannot be read: {broken}. `revisit restore` makes a data folder of a backup; "
             "REVISIT_HOME names it"
         )
     if options.command == "migrate":
-        migrate(settings.database, options.revision)
+        state.migrate(options.revision)
         return 0
     if options.command == "serve":
-        return _serve(settings)
-    if current_revision(settings.database) is None:
-        return _refuse(
-            f"there is no database at {settings.database} yet: run `python -m revisit.service migrate` first"
-        )
+        return _serve(settings, state)
+    if not state.is_made():
+        return _refuse(f"there is no database at {state.name} yet: run `python -m revisit.service migrate` first")
     from revisit.service.compiled_kernels import choose_cache
 
     choose_cache(settings.home)
-    if options.command == "worker":
-        _tell_start("worker")
+    if options.command in ("worker", "workers"):
+        _tell_start(options.command)
     if options.command == "search":
         return _search(settings)
     from revisit.service.composition import run_worker, worker_seen
 
     if options.command == "seen":
         return 0 if worker_seen(settings, options.id) else _refuse(f"worker {options.id} has not shown itself lately")
+    if options.command == "workers":
+        from revisit.service.worker_host import run_workers
+
+        return run_workers(settings)
     run_worker(settings, options.id, options.parent)
     return 0
 
@@ -136,9 +142,9 @@ def _unit() -> str:
     return text.replace("/opt/revisit/.venv/bin/python", sys.executable)
 
 
-def _serve(settings: Settings) -> int:
+def _serve(settings: Settings, state: State) -> int:
     """Run the gateway, where its address is safe to listen on and no other serves the data folder; the exit status."""
-    missing = _missing_protection(settings)
+    missing = _missing_protection(settings, state)
     if missing:
         return _refuse(
             f"refusing to listen on {settings.host}, which others can reach, without {' and '.join(missing)}. "
@@ -146,7 +152,7 @@ def _serve(settings: Settings) -> int:
         )
     _tell_start("serve")
     from revisit.service.compiled_kernels import choose_cache
-    from revisit.service.engines.local.files.home_lock import HomeTaken, sole_gateway
+    from revisit.service.engines.local.files.home_lock import HomeTaken
     from revisit.service.engines.stored_blobs import BlobStoreUnusable
 
     try:
@@ -154,37 +160,36 @@ def _serve(settings: Settings) -> int:
         choose_cache(settings.home)
         from revisit.service.gateway import serve
 
-        with sole_gateway(settings.home):
-            return serve(settings)
+        with state.sole_gateway():
+            return serve(settings, state)
     except HomeTaken as error:
         print(error, file=sys.stderr)
-        return TAKEN
+        return NOT_NOW
     except BlobStoreUnusable as error:
         print(error, file=sys.stderr)
-        return CONFIGURATION if error.for_good else TAKEN
+        return CONFIGURATION if error.for_good else NOT_NOW
     except (OSError, ValueError) as error:
         if isinstance(error, OSError) and error.filename is not None:
             return _refuse(f"cannot use {error.filename}: {error.strerror}; REVISIT_HOME names the data folder")
         return _refuse(f"cannot serve on {settings.host}: {error}")
 
 
-def _missing_protection(settings: Settings) -> list[str]:
+def _missing_protection(settings: Settings, state: State) -> list[str]:
     """Missing protections of an address that others can reach; none where that was asked for."""
     if not settings.exposed or settings.insecure_bind:
         return []
     missing = [] if settings.tls_certificate else ["TLS (REVISIT_TLS_CERTIFICATE, REVISIT_TLS_KEY)"]
-    if not settings.knows_callers_without_keys and not _has_live_key(settings):
+    if not settings.knows_callers_without_keys and not _has_live_key(settings, state):
         missing.append("an API key (`revisit keys create`)")
     return missing
 
 
-def _has_live_key(settings: Settings) -> bool:
-    if not settings.database.exists():
+def _has_live_key(settings: Settings, state: State) -> bool:
+    if not state.is_made():
         return False
     from revisit.service.composition import offline_use_cases
-    from revisit.service.engines.local.sqlite.migration import migrate
 
-    migrate(settings.database)
+    state.migrate()
     with offline_use_cases(settings) as use_cases:
         return asyncio.run(use_cases.keys.any_live())
 
@@ -195,6 +200,7 @@ def _parser() -> argparse.ArgumentParser:
     commands.add_parser("unit", help="print the unit file for systemd")
     commands.add_parser("serve", help="run the gateway (REST and gRPC) and its workers")
     commands.add_parser("search", help="run a search process, which holds the indices of maps for all others")
+    commands.add_parser("workers", help="run the workers of this machine without a gateway, on PostgreSQL")
     worker = commands.add_parser("worker", help="run one more worker on this machine")
     worker.add_argument("--id", help="name of the worker; one is made up by default")
     worker.add_argument("--parent", type=int, help="end with the process of this id")

@@ -32,14 +32,14 @@ from revisit.service.engines.local.clock import SystemClock
 from revisit.service.engines.local.files.blobs import FileBlobStore
 from revisit.service.engines.local.files.disk import Disk, FailStop
 from revisit.service.engines.local.files.file_drafts import FileDrafts
-from revisit.service.engines.local.files.filesystem import require_local
 from revisit.service.engines.local.files.index_files import IndexFiles
 from revisit.service.engines.local.files.secret_files import SECRET_BYTES, kept_secret
 from revisit.service.engines.local.sqlite.blob_rows import newest_clouds
 from revisit.service.engines.local.sqlite.checkpoints import Checkpoints
 from revisit.service.engines.local.sqlite.connections import open_to_read, write_ahead_log
-from revisit.service.engines.local.sqlite.transactions import SqliteTransactions, StorageFailures
+from revisit.service.engines.local.sqlite.transactions import StorageFailures
 from revisit.service.engines.local.vector_index import SAVED_FROM, PlaceVectorIndex
+from revisit.service.engines.state import state_of
 from revisit.service.engines.stored_blobs import BlobStoreUnusable
 from revisit.service.features.index.caught_up_index import CaughtUpIndex
 from revisit.service.features.recognition.reembedding import Reembedding
@@ -98,20 +98,14 @@ log = structlog.get_logger(__name__)
 
 def build_context(settings: Settings, *, gateway: bool, fail_stop: FailStop | None = None) -> ServiceContext:
     """The context of a process. The gateway alone checkpoints the database; a failing disk trips `fail_stop`."""
-    require_local(settings.home)
     policy, disk, switch = settings.policy, build_disk(settings), fail_stop or FailStop()
     in_flight = InFlight(
         settings.capacity, current_actor, note_refused=lambda tenant, client: pace.note_refused(tenant, client)
     )
     pace = CallPace(others_wait=in_flight.others_wait)
     clock = SystemClock()
-    transactions = SqliteTransactions(
-        settings.database,
-        checkpoints=gateway,
-        lease_ms=policy.lease_ms,
-        clock=clock,
-        fail_stop=switch,
-        on_full=disk.release,
+    transactions = state_of(settings.home, settings.database_url).transactions(
+        gateway=gateway, lease_ms=policy.lease_ms, clock=clock, fail_stop=switch, on_full=disk.release
     )
     blobs, outage = build_blobs(settings, fail_stop=switch, on_full=disk.release)
     return ServiceContext(
@@ -165,13 +159,16 @@ def bucket(settings: Settings) -> S3BlobStore:
 def require_bucket(settings: Settings) -> None:
     """Try the bucket of `blob_url` out, where there is one. Raises BlobStoreUnusable, MissingLibrary.
 
-    It must hold the clouds that the newest rows name: another bucket would make every submap a damaged one.
+    It must hold the clouds that the newest rows of a data folder name: another bucket would make every submap a
+    damaged one.
     """
     if not settings.blob_url:
         return
     store = bucket(settings)
     if store.try_out():
         log.warning("bucket_keeps_versions", hint="a lifecycle rule must delete noncurrent versions")
+    if settings.database_url:
+        return
     with closing(open_to_read(settings.database)) as rows:
         newest = newest_clouds(rows, NEWEST_CLOUDS)
     if newest and not any(store.exists(blob.tenant, blob.kind, blob.sha256) for blob in newest):
@@ -227,9 +224,10 @@ def chores(settings: Settings, context: ServiceContext, fail_stop: FailStop) -> 
 
     deliveries = build_deliveries(settings, context)
 
+    folding = Chore("fold_log_back", FOLD_LOG_BACK_EVERY_S, fold_log_back, at_end=True)
     return (
         Chore("tend_disk", TEND_DISK_EVERY_S, tend_disk),
-        Chore("fold_log_back", FOLD_LOG_BACK_EVERY_S, fold_log_back, at_end=True),
+        *((folding,) if state_of(settings.home, settings.database_url).on_this_machine else ()),
         Chore("sweep_blobs", SWEEP_EVERY_S, sweep_blobs),
         Chore("collect_blobs", COLLECT_EVERY_S, collect_blobs),
         Chore("erase_deleted", ERASE_EVERY_S, context.erasure.all, close=context.erasure.close),

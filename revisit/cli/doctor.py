@@ -83,8 +83,24 @@ def _models() -> str:
 
 def _data(home: Path | None, full: bool) -> list[Finding]:
     from revisit.service.engines.local.sqlite.examination import examine
+    from revisit.service.settings_loading import load_settings
 
+    if load_settings(home).database_url:
+        return [_checked("database", lambda: _server(home))]
     return examine(data_folder(home), full=full, bucket=bucket_of(home))
+
+
+def _server(home: Path | None) -> str:
+    from revisit.service.engines.schema import ForeignSchema, UnusableServer
+    from revisit.service.engines.state import state_of
+    from revisit.service.settings_loading import load_settings
+
+    settings = load_settings(home)
+    try:
+        state = state_of(settings.home, settings.database_url)
+        return f"{state.name}: {'its schema fits' if state.is_made() else 'empty yet'}"
+    except (ForeignSchema, UnusableServer) as error:
+        raise ValueError(str(error)) from error
 
 
 def _answer(client: Client) -> str:

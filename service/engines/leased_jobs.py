@@ -163,7 +163,7 @@ class LeasedJobs:
 
     def _held(self, lease: Lease) -> JobRecord:
         """The stored job, if `lease` is still its newest. Raises StaleLease."""
-        job = self._jobs.get(lease.job.tenant, lease.job.operation_id)
+        job = self._jobs.get(lease.job.tenant, lease.job.operation_id, hold=True)
         if job is None or job.state != OperationState.RUNNING or job.lease_token != lease.job.lease_token:
             raise StaleLease(f"operation {lease.job.operation_id} is no longer leased to this run")
         return job

@@ -18,6 +18,10 @@ class ForeignSchema(Exception):
     """The database is of a version that this one does not know."""
 
 
+class UnusableServer(Exception):
+    """The address of a database server is none, or the server or database does not do for the service."""
+
+
 def known_revisions() -> frozenset[str]:
     """The revisions that this version can open or upgrade."""
     return frozenset(script.revision for script in scripts().walk_revisions())

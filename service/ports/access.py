@@ -46,8 +46,8 @@ class KeyRing(Protocol):
         """Store a new key. Raises AlreadyExists where its id is taken."""
         ...
 
-    def get(self, key_id: str) -> KeyRecord | None:
-        """The key with this id, or None."""
+    def get(self, key_id: str, *, hold: bool = False) -> KeyRecord | None:
+        """The key with this id, or None. `hold`: until this transaction ends nobody else changes it."""
         ...
 
     def all(self) -> list[KeyRecord]:

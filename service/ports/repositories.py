@@ -19,7 +19,7 @@ class RowReader(Protocol[R]):
     def get(self, tenant: TenantId, *key: str | int, hold: bool = False) -> R | None:
         """The record with this key, or None. `hold`: until this transaction ends nobody else changes or holds it.
 
-        A use case that changes a record, or what hangs on it, holds it first: in the order map, session, submap, job.
+        A use case that changes a record, or what hangs on it, holds it first: in the order map, session, job, submap.
         """
         ...
 

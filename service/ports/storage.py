@@ -112,9 +112,9 @@ async def _outcome(future: Future[T]) -> T:
     return await asyncio.shield(asyncio.wrap_future(future))
 
 
-def require_map(uow: UnitOfWork, tenant: TenantId, map_id: str) -> MapRecord:
-    """The map. Raises NotFound."""
-    record = uow.maps.get(tenant, map_id)
+def require_map(uow: UnitOfWork, tenant: TenantId, map_id: str, *, hold: bool = False) -> MapRecord:
+    """The map, held where it is to change. Raises NotFound."""
+    record = uow.maps.get(tenant, map_id, hold=hold)
     if record is None:
         raise NotFound(f"there is no map {map_id!r}"[:200])
     return record
@@ -128,9 +128,9 @@ def require_robot(uow: UnitOfWork, tenant: TenantId, robot_id: str) -> RobotReco
     return record
 
 
-def require_session(uow: UnitOfWork, tenant: TenantId, key: SessionKey) -> SessionRecord:
-    """The session. Raises NotFound."""
-    record = uow.sessions.get(tenant, key.map_id, key.session_id)
+def require_session(uow: UnitOfWork, tenant: TenantId, key: SessionKey, *, hold: bool = False) -> SessionRecord:
+    """The session, held where it is to change. Raises NotFound."""
+    record = uow.sessions.get(tenant, key.map_id, key.session_id, hold=hold)
     if record is None:
         raise NotFound(f"there is no session {key.name!r}"[:300])
     return record
@@ -172,9 +172,9 @@ def require_descriptor(record: SubmapRecord) -> bytes:
     return record.descriptor
 
 
-def require_job(uow: UnitOfWork, tenant: TenantId, operation_id: str) -> JobRecord:
-    """The job behind an operation. Raises NotFound."""
-    record = uow.jobs.get(tenant, operation_id)
+def require_job(uow: UnitOfWork, tenant: TenantId, operation_id: str, *, hold: bool = False) -> JobRecord:
+    """The job behind an operation, held where it is to change. Raises NotFound."""
+    record = uow.jobs.get(tenant, operation_id, hold=hold)
     if record is None:
         raise NotFound(f"there is no operation {operation_id!r}"[:200])
     return record

@@ -9,8 +9,8 @@ from sqlalchemy import create_engine, inspect
 
 from revisit.service.engines import schema
 from revisit.service.engines.postgres import migration
-from revisit.service.engines.postgres.connections import UnusableServer, server_url
-from revisit.service.engines.schema import NEWEST_REVISION, ForeignSchema
+from revisit.service.engines.postgres.connections import server_url
+from revisit.service.engines.schema import NEWEST_REVISION, ForeignSchema, UnusableServer
 from revisit.service.engines.sql.tables import metadata
 from tests.support.made_database import made_database
 from tests.support.next_migration import NEXT_REVISION, migrations_with_a_next_step

@@ -64,6 +64,11 @@ class PostgresServer:
             self._process.wait(PATIENCE_S)
             self._process = None
 
+    def end(self) -> None:
+        """Stop it and delete its data."""
+        self.stop()
+        shutil.rmtree(self.folder, ignore_errors=True)
+
     def url(self, database: str) -> URL:
         """The address of a database."""
         return server_url(f"postgresql://postgres@/{database}?host={self.folder}")
@@ -102,16 +107,15 @@ class PostgresServer:
 @functools.cache
 def shared_server() -> PostgresServer:
     """The server of this test process: in memory, without syncs."""
-    folder = Path(tempfile.mkdtemp(prefix="revisit-pg-", dir="/dev/shm" if os.access("/dev/shm", os.W_OK) else None))
-    server = PostgresServer(folder)
-    atexit.register(_end, server)
+    server = PostgresServer(new_folder("/dev/shm" if os.access("/dev/shm", os.W_OK) else None))
+    atexit.register(server.end)
     server.start()
     return server
 
 
-def _end(server: PostgresServer) -> None:
-    server.stop()
-    shutil.rmtree(server.folder, ignore_errors=True)
+def new_folder(parent: str | None = None) -> Path:
+    """A folder with a name that is short enough for the path of a socket."""
+    return Path(tempfile.mkdtemp(prefix="revisit-pg-", dir=parent))
 
 
 @functools.cache

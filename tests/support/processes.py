@@ -148,6 +148,17 @@ class WorkerProcess(_Logging):
         self.wait_for("worker_ready")
 
 
+class WorkersProcess(_Logging):
+    """`python -m revisit.service workers`: the workers of a machine without a gateway."""
+
+    command = ("workers",)
+
+    def start(self) -> None:
+        """Start it and wait until a worker takes jobs."""
+        super().start()
+        self.wait_for("worker_ready")
+
+
 def is_running(pid: int) -> bool:
     """Whether a process lives (a zombie does not)."""
     try:

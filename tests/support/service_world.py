@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import asyncio
+import os
 import threading
+import weakref
 from collections.abc import Awaitable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -11,6 +13,7 @@ from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
+from sqlalchemy.engine import URL
 
 from revisit.core.config import PipelineConfig
 from revisit.formats import DecodedCloud
@@ -20,6 +23,7 @@ from revisit.service.domain.identity import DEFAULT_TENANT, SessionKey, SubmapKe
 from revisit.service.domain.policy import Policy
 from revisit.service.engines.local.files.blobs import FileBlobStore
 from revisit.service.engines.local.sqlite.transactions import SqliteTransactions
+from revisit.service.engines.postgres.transactions import PostgresTransactions
 from revisit.service.features.catalogue.maps import CreateMap
 from revisit.service.features.catalogue.sessions import CreateSession
 from revisit.service.features.ingest.calls import AppendScan
@@ -45,6 +49,9 @@ T = TypeVar("T")
 
 TENANT = DEFAULT_TENANT
 SESSION = SessionKey("town", "monday")
+
+ON_POSTGRES = os.environ.get("REVISIT_TEST_STATE") == "postgres"
+"""Whether all worlds keep their state in PostgreSQL, so that a suite shows that it holds there."""
 
 
 @dataclass
@@ -99,8 +106,13 @@ def policy(pipeline: PipelineConfig = PipelineConfig(), **overrides) -> Policy:
 
 
 def memory_world(clock: SteppedClock | None = None, **overrides) -> World:
-    """The service over the stores in memory."""
+    """The service over the stores in memory, or, where REVISIT_TEST_STATE asks for it, over PostgreSQL."""
     rules, clock = policy(**overrides), clock or SteppedClock()
+    if ON_POSTGRES:
+        transactions = postgres_transactions(rules, clock)
+        world = _world(transactions, MemoryBlobStore(), rules, clock)
+        weakref.finalize(world.context.storage, transactions.close)
+        return world
     return _world(MemoryTransactions(rules.lease_ms, clock), MemoryBlobStore(), rules, clock)
 
 
@@ -113,9 +125,31 @@ def sqlite_world(
 ) -> World:
     """The service over SQLite and files in `home`, or other `blobs`; close its transactions at the end."""
     rules, clock = policy(**overrides), clock or SteppedClock()
-    database = made_database(home / "revisit.db")
-    transactions = SqliteTransactions(database, checkpoints=True, lease_ms=rules.lease_ms, clock=clock)
+    if ON_POSTGRES:
+        transactions = postgres_transactions(rules, clock, home)
+    else:
+        database = made_database(home / "revisit.db")
+        transactions = SqliteTransactions(database, checkpoints=True, lease_ms=rules.lease_ms, clock=clock)
     return replace(_world(transactions, blobs or FileBlobStore(home / "blobs"), rules, clock, disk), home=home)
+
+
+def postgres_world(clock: SteppedClock | None = None, **overrides) -> World:
+    """The service over PostgreSQL and blobs in memory; close its transactions at the end."""
+    rules, clock = policy(**overrides), clock or SteppedClock()
+    return _world(postgres_transactions(rules, clock), MemoryBlobStore(), rules, clock)
+
+
+def postgres_transactions(rules: Policy, clock: SteppedClock, home: Path | None = None) -> PostgresTransactions:
+    """A new database on the server of this test process; that of a `home` which was there before."""
+    from tests.support.postgres import shared_server
+
+    url = _databases.get(home) or shared_server().made_database()
+    if home is not None:
+        _databases[home] = url
+    return PostgresTransactions(url, lease_ms=rules.lease_ms, clock=clock, now_ms=lambda _: clock.ms)
+
+
+_databases: dict[Path | None, URL] = {}
 
 
 def _world(transactions, blobs, rules: Policy, clock: SteppedClock, disk: DiskSpace = UnlimitedDisk()) -> World:

@@ -61,9 +61,13 @@ class Town:
         return str(answer.json()["operation"]["name"])
 
     def append(self, seq: int) -> int:
-        """Send a scan, one metre behind the last; the last one that is stored."""
+        """Send a scan; the last one that is stored."""
+        return int(self.send_scan(seq).json()["committed_seq"])
+
+    def send_scan(self, seq: int) -> httpx.Response:
+        """Send a scan, one metre behind the last."""
         asked = {"seq": seq, "stamp_ns": seq, "T_odom_sensor": f"{seq - 1},0,0,0,0,0,1"}
-        return int(self._send("scans", seq, 300, asked).json()["committed_seq"])
+        return self._send("scans", seq, 300, asked)
 
     def states(self) -> dict[str, str]:
         """The state of every submap, in their order."""

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from importlib.util import find_spec
+
 from pydantic_core import from_json
 from sqlalchemy import Connection, Engine, create_engine, event, make_url
 from sqlalchemy.engine import URL
 from sqlalchemy.exc import ArgumentError
+
+from revisit.service.engines.schema import UnusableServer
 
 READERS = 2
 """Threads that read for the event loop. Other threads read for themselves, each with a connection of its own."""
@@ -27,12 +31,10 @@ OLDEST = (16,)
 """The oldest version of PostgreSQL that the service runs on."""
 
 
-class UnusableServer(Exception):
-    """The address is none, or the server or database does not do for the service."""
-
-
 def server_url(text: str) -> URL:
     """The address of a database, as `postgresql://user:password@host:port/name`. Raises UnusableServer."""
+    if find_spec("psycopg") is None:
+        raise UnusableServer("REVISIT_DATABASE_URL needs the extra `cluster`: pip install 'revisit-loops[cluster]'")
     try:
         url = make_url(text)
     except ArgumentError as error:

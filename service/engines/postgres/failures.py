@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from sqlalchemy.exc import DBAPIError, IntegrityError
+from sqlalchemy.exc import DataError, DBAPIError, IntegrityError
 from sqlalchemy.exc import TimeoutError as PoolExhausted
 
 from revisit.core.errors import DataLoss
-from revisit.service.domain.errors import StorageFull, StorageUncertain
+from revisit.service.domain.errors import NotFound, StorageFull, StorageUncertain
 
 FULL = ("53100",)
 DAMAGED = ("XX001", "XX002")
@@ -51,6 +51,8 @@ def sqlstate(error: DBAPIError) -> str:
 
 def _translation(error: DBAPIError) -> Exception:
     state = sqlstate(error)
+    if isinstance(error, DataError) and not state:
+        return NotFound("no name has such a character")  # NUL, which text of PostgreSQL cannot hold, nor that of a name
     if state in FULL:
         return StorageFull()
     if state in DAMAGED:

@@ -17,9 +17,9 @@ from sqlalchemy.pool import NullPool
 
 from revisit.service.domain.errors import StorageUncertain
 from revisit.service.engines import schema
-from revisit.service.engines.postgres.connections import CONNECT_S, OLDEST, UnusableServer
+from revisit.service.engines.postgres.connections import CONNECT_S, OLDEST
 from revisit.service.engines.postgres.failures import LOCKED, sqlstate, translated
-from revisit.service.engines.schema import ForeignSchema
+from revisit.service.engines.schema import ForeignSchema, UnusableServer
 
 if TYPE_CHECKING:
     from alembic.config import Config
@@ -65,7 +65,7 @@ def require_fitting(url: URL) -> None:
             present = _revision(connection)
             if present is None or not _runs_here(connection, present):
                 newest = schema.NEWEST_REVISION
-                raise ForeignSchema(f"it has schema {present}, this version needs {newest}: run `revisit migrate`")
+                raise ForeignSchema(f"it has schema {present}; `revisit serve` brings it to {newest}")
     finally:
         engine.dispose()
 

@@ -30,9 +30,10 @@ class SqlKeyRing:
         except IntegrityError as error:
             raise AlreadyExists from error
 
-    def get(self, key_id: str) -> KeyRecord | None:
+    def get(self, key_id: str, *, hold: bool = False) -> KeyRecord | None:
         """See `access_ports.KeyRing`."""
-        row = self._connection.execute(select(api_keys).where(api_keys.c.key_id == key_id)).one_or_none()
+        query = select(api_keys).where(api_keys.c.key_id == key_id)
+        row = self._connection.execute(query.with_for_update() if hold else query).one_or_none()
         return None if row is None else KeyRecord(**row._mapping)
 
     def all(self) -> list[KeyRecord]:

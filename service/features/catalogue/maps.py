@@ -156,7 +156,7 @@ def policy_in_force(config: PipelineConfig) -> LoopPolicy:
 
 
 def _delete(uow: UnitOfWork, map_id: str, entry: AuditEntry, at_ns: int) -> int:
-    record = require_map(uow, TenantId(entry.tenant), map_id)
+    record = require_map(uow, TenantId(entry.tenant), map_id, hold=True)
     audit.append(uow, at_ns, entry)
     mark_map(uow, record, at_ns)
     return record.number

@@ -115,7 +115,7 @@ class Sessions:
         return closed
 
     def _finish(self, uow: UnitOfWork, tenant: TenantId, key: SessionKey) -> SessionView:
-        session, now_ns = require_session(uow, tenant, key), self._context.clock.wall_ns()
+        session, now_ns = require_session(uow, tenant, key, hold=True), self._context.clock.wall_ns()
         if session.state == SessionState.FINISHED:
             return self._whole(uow, session)
         rest = remainder(session)
@@ -187,9 +187,10 @@ def _of_map(uow: UnitOfWork, after: int, limit: int, *, tenant: TenantId, map_id
 
 def _delete(uow: UnitOfWork, key: SessionKey, entry: AuditEntry, at_ns: int) -> None:
     tenant = TenantId(entry.tenant)
-    session = require_session(uow, tenant, key)
+    of_map = require_map(uow, tenant, key.map_id, hold=True)
+    session = require_session(uow, tenant, key, hold=True)
     audit.append(uow, at_ns, entry)
-    mark_session(uow, require_map(uow, tenant, key.map_id), session, at_ns)
+    mark_session(uow, of_map, session, at_ns)
 
 
 def _view(uow: UnitOfWork, record: SessionRecord) -> SessionView:

@@ -126,6 +126,7 @@ def _of_session(uow: UnitOfWork, after: int, limit: int, *, tenant: TenantId, se
 
 def _delete(uow: UnitOfWork, key: SubmapKey, entry: AuditEntry, at_ns: int) -> None:
     tenant = TenantId(entry.tenant)
+    of_map = require_map(uow, tenant, key.map_id, hold=True)
     record = require_submap(uow, tenant, key)
     audit.append(uow, at_ns, entry)
-    delete_submap(uow, require_map(uow, tenant, key.map_id), record, at_ns)
+    delete_submap(uow, of_map, record, at_ns)

@@ -242,7 +242,7 @@ def _rows(held: _Held, record: MapRecord, now_ns: int) -> list[EarlyCorrectionRe
 
 def _store(uow: UnitOfWork, known: MapRecord, rows: list[EarlyCorrectionRecord]) -> None:
     """Replace corrections that rest on fewer loops, unless the map has changed since it was read."""
-    current = uow.maps.get(known.tenant, known.map_id)
+    current = uow.maps.get(known.tenant, known.map_id, hold=True)
     if current is None or _key(current) != _key(known):
         return
     for row in rows:

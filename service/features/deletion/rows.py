@@ -53,6 +53,7 @@ def drop_jobs(uow: UnitOfWork, submaps: Sequence[SubmapRecord], at_ns: int) -> N
     """End the jobs that wait to describe submaps; one that runs notices by itself."""
     done = OperationState.DONE.value
     for submap in submaps:
-        job = uow.jobs.get(submap.tenant, submap.operation_id) if submap.state == SubmapState.QUEUED else None
+        queued = submap.state == SubmapState.QUEUED
+        job = uow.jobs.get(submap.tenant, submap.operation_id, hold=True) if queued else None
         if job is not None and job.state == OperationState.QUEUED:
             uow.jobs.replace(replace(job, state=done, result=SUBMAP_DELETED, finished_at_ns=at_ns))

@@ -14,6 +14,6 @@ def note_edit(uow: UnitOfWork, tenant: TenantId, map_id: str) -> None:
 
     Additions need no note. Raises NotFound.
     """
-    record = require_map(uow, tenant, map_id)
+    record = require_map(uow, tenant, map_id, hold=True)
     uow.early_corrections.delete(tenant, map_id=map_id)
     uow.maps.replace(replace(record, graph_edits=record.graph_edits + 1))

@@ -46,13 +46,17 @@ def post_optimisation(
     return post_map_job(uow, tenant, map_id, OperationKind.OPTIMISE_MAP, policy, now_ns, delay_ms)
 
 
-def waiting_optimisation(uow: UnitOfWork, tenant: TenantId, map_id: str) -> JobRecord | None:
-    """The job of a map that no worker has taken yet."""
-    return waiting_map_job(uow, tenant, map_id, OperationKind.OPTIMISE_MAP)
+def waiting_optimisation(uow: UnitOfWork, tenant: TenantId, map_id: str, *, hold: bool = False) -> JobRecord | None:
+    """The job of a map that no worker has taken yet, and that none takes while it is held."""
+    job = waiting_map_job(uow, tenant, map_id, OperationKind.OPTIMISE_MAP)
+    if job is None or not hold:
+        return job
+    held = uow.jobs.get(tenant, job.operation_id, hold=True)
+    return held if held is not None and held.state == OperationState.QUEUED else None
 
 
 def brought_forward(uow: UnitOfWork, job: JobRecord) -> JobRecord:
-    """The waiting job, due at once."""
+    """The waiting job, which is held, due at once."""
     due = replace(job, not_before_ms=0)
     uow.jobs.replace(due)
     return due
@@ -60,6 +64,6 @@ def brought_forward(uow: UnitOfWork, job: JobRecord) -> JobRecord:
 
 def drop_waiting(uow: UnitOfWork, tenant: TenantId, map_id: str, result: dict[str, Any], now_ns: int) -> None:
     """End the waiting job of a map, if there is one, without running it."""
-    job = waiting_optimisation(uow, tenant, map_id)
+    job = waiting_optimisation(uow, tenant, map_id, hold=True)
     if job is not None:
         uow.jobs.replace(replace(job, state=OperationState.DONE.value, result=result, finished_at_ns=now_ns))

@@ -235,7 +235,7 @@ class Scans:
         return replace(ack, submap=await with_seq(self._context.storage, tenant, ack.submap))
 
     def _insert(self, uow: UnitOfWork, tenant: TenantId, command: AppendScan, accepted: _Accepted) -> ScanAck:
-        session = require_session(uow, tenant, command.session)
+        session = require_session(uow, tenant, command.session, hold=True)
         if _is_replay(session, accepted.seq):
             stored = _stored_scan(uow, session, accepted.seq)
             # It came a moment ago, by the same compressor.

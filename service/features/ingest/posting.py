@@ -114,11 +114,11 @@ class SubmapPosting:
 
     def _insert(self, uow: UnitOfWork, accepted: _Accepted) -> PostedSubmap:
         row = accepted.row
+        session = require_session(uow, row.tenant, SessionKey(row.map_id, row.session_id), hold=True)
         replay = _replayed(uow, row)
         if replay is not None:
             return replay
         uow.blobs.refer(row.tenant, [(CLOUD_BLOB, str(row.cloud_sha256))])
-        session = require_session(uow, row.tenant, SessionKey(row.map_id, row.session_id))
         added, _ = add_submap(uow, self._context.jobs, session, row)
         return posted_submap(uow, added, replay=False, report=accepted.report)
 

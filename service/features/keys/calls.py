@@ -191,7 +191,7 @@ def _random_key() -> ShownKey:
 
 
 def _require(uow: UnitOfWork, key_id: str) -> KeyRecord:
-    known = uow.keys.get(key_id)
+    known = uow.keys.get(key_id, hold=True)
     if known is None:
         raise NotFound(f"there is no key {key_id!r}"[:100])
     return known

@@ -97,6 +97,7 @@ class LoopDecisions:
         )
 
     def _change(self, uow: UnitOfWork, tenant: TenantId, map_id: str, loop_id: str, change: Change) -> LoopClosureView:
+        require_map(uow, tenant, map_id, hold=True)
         loop = require_loop(uow, tenant, map_id, loop_id)
         fields = _fields_after(uow, loop, change.kind)
         if fields["state"] == loop.state and change.kind is not LoopEventKind.REVERTED:

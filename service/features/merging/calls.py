@@ -111,7 +111,8 @@ class MapMerges:
         return reverted
 
     def _post(self, uow: UnitOfWork, tenant: TenantId, command: MergeMap, payload: dict[str, Any]) -> PostedOperation:
-        target, source = (require_map(uow, tenant, one) for one in (command.map_id, command.source_map_id))
+        target = require_map(uow, tenant, command.map_id, hold=True)
+        source = require_map(uow, tenant, command.source_map_id)
         if command.source_session_id is not None:
             require_session(uow, tenant, SessionKey(command.source_map_id, command.source_session_id))
         require_comparable(target, source)
@@ -124,6 +125,7 @@ class MapMerges:
 
     def _revert(self, uow: UnitOfWork, map_id: str, merge_id: str, entry: AuditEntry) -> MapMergeRecord:
         tenant, now_ns = TenantId(entry.tenant), self._context.clock.wall_ns()
+        require_map(uow, tenant, map_id, hold=True)
         merge = _require_merge(uow, tenant, map_id, merge_id)
         if merge.reverted_at_ns is not None:
             return merge

@@ -56,8 +56,8 @@ class MergeCommit:
 
         Raises StaleLease where another worker holds the job, AlreadyExists where a session cannot get a name.
         """
-        uow.queue.require(self.lease)
         current = self._unchanged(uow)
+        uow.queue.require(self.lease)
         if current is None:
             return False
         copies = self._copy(uow, current)
@@ -72,7 +72,7 @@ class MergeCommit:
         records = []
         for side in (self.proposal.task.target, self.proposal.task.source):
             known = side.task.map
-            current = uow.maps.get(known.tenant, known.map_id)
+            current = uow.maps.get(known.tenant, known.map_id, hold=True)
             same = current is not None and current.number == known.number
             if not same or current is None or current.graph_edits != known.graph_edits:
                 return None

@@ -56,7 +56,7 @@ class Operations:
         return await self._context.storage.write(partial(self._cancel, tenant=tenant, operation_id=operation_id))
 
     def _cancel(self, uow: UnitOfWork, tenant: TenantId, operation_id: str) -> JobRecord:
-        job = require_job(uow, tenant, operation_id)
+        job = require_job(uow, tenant, operation_id, hold=True)
         if job.kind not in CANCELLABLE:
             raise BadField("only what optimises or merges maps can be cancelled", field="name")
         if job.state == OperationState.QUEUED:

@@ -38,7 +38,7 @@ class DeadLetters:
         return await self._context.storage.write(partial(self._retry, tenant=tenant, operation_id=operation_id))
 
     def _retry(self, uow: UnitOfWork, tenant: TenantId, operation_id: str) -> JobRecord:
-        job = require_job(uow, tenant, operation_id)
+        job = require_job(uow, tenant, operation_id, hold=True)
         if job.state != OperationState.FAILED:
             return job
         if job.kind in QUERIES:
@@ -79,5 +79,5 @@ def mark_subject_failed(uow: UnitOfWork, job: JobRecord, code: str, message: str
 def _subject(uow: UnitOfWork, job: JobRecord) -> SubmapRecord | None:
     """The submap that a job describes, unless it was deleted (and maybe posted again, with a job of its own)."""
     key = SubmapKey(**job.payload)
-    submap = uow.submaps.get(job.tenant, key.map_id, key.session_id, key.submap_id)
+    submap = uow.submaps.get(job.tenant, key.map_id, key.session_id, key.submap_id, hold=True)
     return submap if submap is not None and submap.operation_id == job.operation_id else None

@@ -67,7 +67,7 @@ def _drop(uow: UnitOfWork, asked: JobRecord) -> Result | None:
 
     The result of one that has.
     """
-    job = uow.jobs.get(asked.tenant, asked.operation_id)
+    job = uow.jobs.get(asked.tenant, asked.operation_id, hold=True)
     if job is None:
         return None
     if job.state in (OperationState.QUEUED.value, OperationState.RUNNING.value):

@@ -81,8 +81,8 @@ class MapVersions:
         return await self._context.storage.write(partial(self._optimise, tenant=tenant, map_id=map_id))
 
     def _optimise(self, uow: UnitOfWork, tenant: TenantId, map_id: str) -> PostedOperation:
-        require_map(uow, tenant, map_id)
-        waiting = waiting_optimisation(uow, tenant, map_id)
+        require_map(uow, tenant, map_id, hold=True)
+        waiting = waiting_optimisation(uow, tenant, map_id, hold=True)
         if waiting is not None:
             return PostedOperation(brought_forward(uow, waiting), replay=True)
         posted = post_optimisation(uow, tenant, map_id, self._context.policy, self._context.clock.wall_ns())
@@ -114,7 +114,7 @@ class MapVersions:
 
     def _revert(self, uow: UnitOfWork, map_id: str, version: int, entry: AuditEntry) -> MapVersionView:
         tenant, now_ns = TenantId(entry.tenant), self._context.clock.wall_ns()
-        current = require_map(uow, tenant, map_id)
+        current = require_map(uow, tenant, map_id, hold=True)
         wanted = _require_version(uow, current, version)
         if version == current.map_version:
             return _view(uow, current, wanted)

@@ -60,9 +60,9 @@ class VersionCommit:
 
         Raises StaleLease where another worker holds the job.
         """
-        uow.queue.require(self.lease)
         known = self.task.map
-        current = uow.maps.get(known.tenant, known.map_id)
+        current = uow.maps.get(known.tenant, known.map_id, hold=True)
+        uow.queue.require(self.lease)
         if current is None or current.number != known.number:
             self._end(uow, MAP_DELETED)
         elif current.map_version != known.map_version and _was_restored(uow, current):

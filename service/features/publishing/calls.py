@@ -99,6 +99,7 @@ class MapFiles:
         return MapLayout.from_blob(self._context.storage.blobs.get(tenant, MAP_LAYOUT_BLOB, sha256))
 
     def _post(self, uow: UnitOfWork, tenant: TenantId, payload: dict[str, Any], entry: AuditEntry) -> PostedOperation:
+        require_map(uow, tenant, payload["map_id"], hold=True)
         version_seen(uow, tenant, payload["map_id"], payload["version"])
         subject = f"maps/{payload['map_id']}"
         waiting = same_job(uow, tenant, OperationKind.PUBLISH_MAP, subject, payload)
@@ -110,6 +111,7 @@ class MapFiles:
 
     def _enable(self, uow: UnitOfWork, map_id: str, version: int, entry: AuditEntry) -> MapFileRecord:
         tenant = TenantId(entry.tenant)
+        require_map(uow, tenant, map_id, hold=True)
         wanted = _require_file(uow, tenant, map_id, version)
         if wanted.state == MapFileState.ENABLED:
             return wanted

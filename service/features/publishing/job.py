@@ -106,8 +106,9 @@ class MapFiling:
 
     def _stored(self, uow: UnitOfWork, lease: Lease, plan: FilingPlan, record: MapFileRecord) -> bool:
         """Store the row and end the job; False where a submap of the file has gone meanwhile."""
-        uow.queue.require(lease)
         tenant = record.tenant
+        uow.maps.get(tenant, record.map_id, hold=True)
+        uow.queue.require(lease)
         if not plan.is_of(self._plan(uow, tenant, lease.job.payload)):
             return False
         known = uow.map_files.get(tenant, record.map_id, record.version)

@@ -235,9 +235,10 @@ class RecallCommit:
 
         Raises StaleLease where another worker holds the job.
         """
+        job = self.lease.job
+        uow.maps.get(job.tenant, str(job.payload["map_id"]), hold=True)
         uow.queue.require(self.lease)
         accepted = sum(self._store(uow, one) for one in self.tested)
-        job = self.lease.job
         if accepted:
             optimise_soon(uow, job.tenant, str(job.payload["map_id"]), self.policy, self.now_ns)
         result = {"tested": len(self.tested), "accepted": accepted}

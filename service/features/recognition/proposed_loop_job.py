@@ -50,6 +50,8 @@ class VerdictCommit:
 
     def __call__(self, uow: UnitOfWork) -> None:
         """Commit. Raises StaleLease where another worker holds the job."""
+        job = self.lease.job
+        uow.maps.get(job.tenant, str(job.payload["map_id"]), hold=True)
         uow.queue.require(self.lease)
         loop = _proposed(uow, self.lease.job)
         if loop is None or self.pair is None or self.verdict is None:

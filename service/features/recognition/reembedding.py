@@ -157,7 +157,7 @@ class Reembedding:
         self, uow: UnitOfWork, record: MapRecord, renewed: Sequence[_Renewed], rows: Sequence[SubmapRecord]
     ) -> bool:
         """Commit, or change nothing and return False where the map has other submaps by now."""
-        current = require_map(uow, record.tenant, record.map_id)
+        current = require_map(uow, record.tenant, record.map_id, hold=True)
         if [one.number for one in _described(uow, record)] != [row.number for row in rows]:
             return False
         for one, row in zip(renewed, rows, strict=True):

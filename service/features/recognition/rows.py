@@ -100,6 +100,8 @@ class Entry:
         if known is None or known.number != row.number:
             return
         current = require_map(uow, row.tenant, row.map_id)
+        if current.model_version is None:
+            current = require_map(uow, row.tenant, row.map_id, hold=True)
         if current.model_version not in (None, row.model_version):
             raise DescriptorModelMismatch(f"map {row.map_id} was described by model {current.model_version}")
         uow.blobs.refer(row.tenant, self.described.blobs)
@@ -123,8 +125,10 @@ class LoopCommit:
 
     def __call__(self, uow: UnitOfWork) -> None:
         """Commit. Raises StaleLease where another worker holds the job."""
-        uow.queue.require(self.lease)
         own = self.query.submap
+        if self.revised or any(item.claim.accepted for item in self.judged):
+            uow.maps.get(own.tenant, own.map_id, hold=True)
+        uow.queue.require(self.lease)
         stored = uow.submaps.found(own.tenant, [own.number, *(item.place.submap.number for item in self.judged)])
         if own.number not in stored:
             self._end(uow, SUBMAP_DELETED)

@@ -125,6 +125,7 @@ class TileMaking:
     def _stored(self, uow: UnitOfWork, tenant: TenantId, plan: TilePlan, sha256: str) -> bool:
         """Store the row of a tile if its submaps are unchanged."""
         key = plan.key
+        uow.maps.get(tenant, key.map_id, hold=True)
         try:
             if read_plan(uow, self._context.policy, tenant, key) != plan:
                 return False

@@ -133,14 +133,14 @@ def _add(uow: UnitOfWork, record: WebhookRecord) -> CreatedWebhook:
 
 
 def _resume(uow: UnitOfWork, tenant: TenantId, webhook_id: str) -> WebhookRecord:
-    known = _require(uow, tenant, webhook_id)
+    known = _require(uow, tenant, webhook_id, hold=True)
     resumed = replace(known, state=WebhookState.ENABLED.value, failures=0, due_at_ns=0)
     uow.webhooks.replace(resumed)
     return resumed
 
 
 def _delete(uow: UnitOfWork, tenant: TenantId, webhook_id: str) -> None:
-    _require(uow, tenant, webhook_id)
+    _require(uow, tenant, webhook_id, hold=True)
     uow.webhook_deliveries.delete(tenant, webhook_id=webhook_id)
     uow.webhooks.delete(tenant, webhook_id=webhook_id)
 
@@ -150,8 +150,8 @@ def _attempts(uow: UnitOfWork, after: int, limit: int, *, tenant: TenantId, webh
     return uow.webhook_deliveries.find(tenant, after=after, limit=limit, webhook_id=webhook_id)
 
 
-def _require(uow: UnitOfWork, tenant: TenantId, webhook_id: str) -> WebhookRecord:
-    record = uow.webhooks.get(tenant, webhook_id)
+def _require(uow: UnitOfWork, tenant: TenantId, webhook_id: str, *, hold: bool = False) -> WebhookRecord:
+    record = uow.webhooks.get(tenant, webhook_id, hold=hold)
     if record is None:
         raise NotFound(f"there is no webhook {webhook_id!r}"[:200])
     return record

@@ -207,7 +207,7 @@ def _note(
     uow: UnitOfWork, before: WebhookRecord, after: WebhookRecord, attempt: DeliveryRecord, told: Mapping[str, int]
 ) -> None:
     """Keep the result of an attempt, unless the webhook was deleted or resumed meanwhile."""
-    known = uow.webhooks.get(before.tenant, before.webhook_id)
+    known = uow.webhooks.get(before.tenant, before.webhook_id, hold=True)
     if known is None or known.number != before.number:
         return
     if known == before or attempt.arrived:
@@ -225,5 +225,5 @@ def _trim(uow: UnitOfWork, tenant: TenantId, webhook_id: str) -> None:
 
 
 def _go_on(uow: UnitOfWork, webhook: WebhookRecord, told: Mapping[str, int]) -> None:
-    if uow.webhooks.get(webhook.tenant, webhook.webhook_id) == webhook:
+    if uow.webhooks.get(webhook.tenant, webhook.webhook_id, hold=True) == webhook:
         uow.webhooks.tell(webhook, told)

