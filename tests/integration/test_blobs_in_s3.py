@@ -158,6 +158,16 @@ def test_a_damaged_blob_is_refused_kept_aside_and_mended_by_its_content(bucket, 
     assert [one.sha256 for one in blobs.stored(0.0)] == [name]
 
 
+def test_a_blob_that_was_read_is_not_asked_for_again_until_it_is_deleted(bucket, link):
+    blobs = S3BlobStore(bucket)
+    name = blobs.put(TENANT, "signature", b"a place")
+    assert [blobs.get(TENANT, "signature", name) for _ in range(3)] == [b"a place"] * 3
+    assert link.count("GET") == 1
+    blobs.delete([StoredBlob(TENANT, "signature", name)])
+    with pytest.raises(DataLoss, match="missing"):
+        blobs.get(TENANT, "signature", name)
+
+
 def test_many_blobs_are_deleted_by_one_request(bucket, link):
     blobs = S3BlobStore(bucket)
     stored = [StoredBlob(TENANT, "cloud", blobs.put(TENANT, "cloud", bytes([number]))) for number in range(20)]

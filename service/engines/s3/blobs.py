@@ -23,6 +23,7 @@ from obstore.store import S3Store
 from revisit.service.domain.errors import StorageFull, StorageUncertain
 from revisit.service.domain.identity import TenantId
 from revisit.service.engines.s3.failures import FAILURES, is_missing, is_mistake, reason_of, translated
+from revisit.service.engines.s3.recent_blobs import RecentBlobs
 from revisit.service.engines.stored_blobs import (
     QUARANTINE,
     BlobDamaged,
@@ -65,6 +66,7 @@ class S3BlobStore:
         self.url = url
         self._store = opened(url, request_s, retries_s)
         self._outage = _Outage(url)
+        self._recent = RecentBlobs()
 
     def put(self, tenant: TenantId, kind: str, data: bytes) -> str:
         """See `BlobStore`. A blob that is there already is stored once more, which also mends a damaged one."""
@@ -74,17 +76,13 @@ class S3BlobStore:
         return blob.sha256
 
     def get(self, tenant: TenantId, kind: str, sha256: str) -> bytes:
-        """See `BlobStore`. Raises also StorageUncertain. Bytes that are wrong are asked for once more."""
+        """See `BlobStore`. Raises also StorageUncertain."""
         blob = StoredBlob(tenant, kind, sha256)
-        try:
-            return self.read(blob)
-        except BlobDamaged:
-            pass
-        try:
-            return self.read(blob)
-        except BlobDamaged:
-            self._quarantine(blob)
-            raise
+        data = self._recent.get(key_of(blob))
+        if data is None:
+            data = self._read_twice(blob)
+            self._recent.keep(key_of(blob), data)
+        return data
 
     def read(self, blob: StoredBlob) -> bytes:
         """The bytes of a blob; a damaged one is left alone. Raises DataLoss, StorageUncertain."""
@@ -117,6 +115,7 @@ class S3BlobStore:
     def delete(self, blobs: Collection[StoredBlob]) -> None:
         """See `BlobStore`: one request for up to 1,000."""
         keys = [key_of(blob) for blob in blobs]
+        self._recent.drop(keys)
         with self._asked():
             try:
                 self._store.delete(keys)
@@ -144,6 +143,18 @@ class S3BlobStore:
         if self._outage.is_to_be_asked():
             threading.Thread(target=self._ask_again, name="asks-the-blob-store", daemon=True).start()
         return self._outage.reason
+
+    def _read_twice(self, blob: StoredBlob) -> bytes:
+        """The bytes; wrong ones are asked for once more. A damaged blob goes into quarantine."""
+        try:
+            return self.read(blob)
+        except BlobDamaged:
+            pass
+        try:
+            return self.read(blob)
+        except BlobDamaged:
+            self._quarantine(blob)
+            raise
 
     def _ask_again(self) -> None:
         try:
