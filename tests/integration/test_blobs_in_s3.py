@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from functools import partial
 from itertools import islice
 
@@ -14,7 +13,7 @@ from revisit.service.domain.identity import TenantId
 from revisit.service.engines.s3.blobs import PAGE, S3BlobStore
 from revisit.service.engines.stored_blobs import BlobStoreUnusable
 from revisit.service.ports.blobs import StoredBlob
-from tests.support.patience import PATIENCE_S
+from tests.support.patience import eventually
 from tests.support.s3 import moto, nanio, variables
 from tests.support.s3_link import SLOW_DOWN, WHOLE, Fault, at_first, s3_link
 
@@ -76,6 +75,7 @@ def test_a_blob_whose_answer_was_lost_is_stored_and_sent_again(bucket, link):
     with pytest.raises(StorageUncertain):
         blobs.put(TENANT, "cloud", POINTS)
     link.fault = at_first(WHOLE)
+    eventually(lambda: not blobs.unreachable(), "the server is not asked again")
     (stored,) = blobs.stored(0.0)
     assert blobs.put(TENANT, "cloud", POINTS) == stored.sha256
     assert len(list(blobs.stored(0.0))) == 1
@@ -100,11 +100,33 @@ def test_a_server_that_answers_again_is_found_out_by_asking(bucket, link):
     asked = len(link.seen)
     assert "SlowDown" in blobs.unreachable() and len(link.seen) == asked
     link.fault = at_first(SLOW_DOWN, times=0)
-    deadline = time.monotonic() + PATIENCE_S
-    while blobs.unreachable():
-        assert time.monotonic() < deadline
-        time.sleep(0.05)
+    eventually(lambda: not blobs.unreachable(), "the server is not asked again")
     assert blobs.put(TENANT, "cloud", POINTS)
+
+
+def test_while_a_server_is_silent_calls_end_at_once_and_ask_it_nothing(bucket, link):
+    blobs = S3BlobStore(bucket, retries_s=0.0)
+    name = blobs.put(TENANT, "cloud", POINTS)
+    link.fault = at_first(Fault(answer_lost=True), times=1_000)
+    with pytest.raises(StorageUncertain):
+        blobs.get(TENANT, "cloud", name)
+    asked = len(link.seen)
+    for operation in OPERATIONS.values():
+        with pytest.raises(StorageUncertain):
+            operation(blobs, name)
+    assert len(link.seen) == asked
+    link.fault = at_first(WHOLE)
+    eventually(lambda: not blobs.unreachable(), "the server is not asked again")
+    assert blobs.get(TENANT, "cloud", name) == POINTS
+
+
+def test_a_call_that_is_refused_for_a_missing_right_stops_no_other_call(bucket, link):
+    blobs = S3BlobStore(bucket)
+    link.fault = lambda request: Fault(refused=(403, "AccessDenied") if request.method == "POST" else None)
+    name = blobs.put(TENANT, "cloud", POINTS)
+    with pytest.raises(StorageUncertain):
+        blobs.delete([StoredBlob(TENANT, "cloud", name)])
+    assert blobs.get(TENANT, "cloud", name) == POINTS
 
 
 @pytest.mark.parametrize("refusal", [(507, "XMinioStorageFull"), (403, "QuotaExceeded"), (507, "Other")])

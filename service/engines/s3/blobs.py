@@ -22,7 +22,15 @@ from obstore.store import S3Store
 
 from revisit.service.domain.errors import StorageFull, StorageUncertain
 from revisit.service.domain.identity import TenantId
-from revisit.service.engines.s3.failures import FAILURES, is_missing, is_mistake, reason_of, translated
+from revisit.service.engines.s3.failures import (
+    FAILURES,
+    UNREACHABLE,
+    is_answer,
+    is_missing,
+    is_mistake,
+    reason_of,
+    translated,
+)
 from revisit.service.engines.s3.recent_blobs import RecentBlobs
 from revisit.service.engines.stored_blobs import (
     QUARANTINE,
@@ -158,7 +166,7 @@ class S3BlobStore:
 
     def _ask_again(self) -> None:
         try:
-            with suppress(StorageFull, StorageUncertain), self._asked():
+            with suppress(StorageFull, StorageUncertain), self._noted():
                 self._store.put(f"{TRIAL}/again", bytes(4096), use_multipart=False)
         finally:
             self._outage.was_asked()
@@ -202,28 +210,40 @@ class S3BlobStore:
 
     @contextmanager
     def _asked(self) -> Iterator[None]:
-        """A call of the server. Raises StorageFull, StorageUncertain."""
+        """A call of the server. Raises StorageFull, StorageUncertain: at once where it has been silent until now, since
+        callers that wait would hold all threads of the process.
+        """
+        if self._outage.silent and self.unreachable():
+            raise StorageUncertain(UNREACHABLE)
+        with self._noted():
+            yield
+
+    @contextmanager
+    def _noted(self) -> Iterator[None]:
+        """Raises StorageFull, StorageUncertain."""
         try:
             yield
         except FAILURES as error:
-            self._outage.begins(reason_of(error))
+            self._outage.begins(reason_of(error), silent=not is_answer(error))
             raise translated(error) from error
         self._outage.ends()
 
 
 class _Outage:
-    """Whether the last call of a server failed, and why."""
+    """Whether the last call of a server failed, and why; `silent`: it did not answer, or not now."""
 
     def __init__(self, url: str) -> None:
         self.reason = ""
+        self.silent = False
         self._url = url
         self._lock = threading.Lock()
         self._asking = False
         self._failed_s = 0.0
 
-    def begins(self, reason: str) -> None:
+    def begins(self, reason: str, *, silent: bool) -> None:
         with self._lock:
             first, self.reason, self._failed_s = not self.reason, reason, time.monotonic()
+            self.silent = silent
         if first:
             log.error("blob_store_failed", store=self._url, reason=reason)
 
@@ -231,7 +251,7 @@ class _Outage:
         if not self.reason:
             return
         with self._lock:
-            last, self.reason = bool(self.reason), ""
+            last, self.reason, self.silent = bool(self.reason), "", False
         if last:
             log.info("blob_store_answers_again", store=self._url)
 

@@ -29,6 +29,9 @@ REASONS = {
 }
 """Mistakes that somebody must mend; other failures may pass by themselves."""
 
+UNREACHABLE = "the store of blobs does not answer as it should; repeat this with the same id"
+"""For clients."""
+
 FAILURES = (BaseError, OSError)
 """Errors of a call of obstore; a missing object is a FileNotFoundError."""
 
@@ -53,6 +56,11 @@ def is_mistake(error: BaseException) -> bool:
     return any(code in REASONS for code in codes_of(error))
 
 
+def is_answer(error: BaseException) -> bool:
+    """Whether the server has refused this very call; else it is silent, or too busy to answer anybody."""
+    return is_mistake(error) or bool(NO_ROOM.intersection(codes_of(error))) or isinstance(error, FileNotFoundError)
+
+
 def reason_of(error: BaseException) -> str:
     """One line for the operator."""
     codes = codes_of(error)
@@ -65,4 +73,4 @@ def translated(error: BaseException) -> RevisitError:
     """The error of the service: StorageFull, else StorageUncertain. Its message is for clients and names no bucket."""
     if NO_ROOM.intersection(codes_of(error)):
         return StorageFull("the store of blobs has no room: nothing was stored")
-    return StorageUncertain("the store of blobs does not answer as it should; repeat this with the same id")
+    return StorageUncertain(UNREACHABLE)
