@@ -43,6 +43,7 @@ test-unit: $(STAMP) ## run the short unit tests of core, service and SDK, while 
 test-all: $(STAMP) ## run every test, in full size, and hold promises of time: for a machine that does nothing else
 	REVISIT_TEST_TIMES=1 REVISIT_SCHEMATHESIS_EXAMPLES=60 REVISIT_GRPC_EXAMPLES=40 REVISIT_FUZZ_EXAMPLES=100 \
 	REVISIT_MACHINE_EXAMPLES=8 REVISIT_LOOP_EXAMPLES=12 $(PYTHON) -m pytest tests --timeout 7200
+	REVISIT_TEST_STATE=postgres $(PYTHON) -m pytest @tests/support/on_postgres.txt --timeout 7200
 
 lint: $(STAMP) ## check style, docstrings, import contracts and the protocol files
 	$(BIN)/ruff check .

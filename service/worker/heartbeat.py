@@ -132,7 +132,7 @@ class Heartbeat:
     def _beat(self) -> None:
         """Show that the worker lives and keep its lease, in one transaction."""
         lease = self._lease
-        kept = self._transactions.write(partial(self._show, lease=lease)).result()
+        kept = self._transactions.write(partial(self._show, lease=lease), durable=False).result()
         missing = None if kept else lease
         # Missing once, its job may have ended a moment ago.
         if missing is not None and missing is self._missing and missing is self._lease:

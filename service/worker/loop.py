@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import random
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -21,6 +22,9 @@ from revisit.service.worker.free_memory import FreeMemory
 from revisit.service.worker.heartbeat import Heartbeat, WorkerIdentity
 
 IDLE_POLL_S = 0.1
+MOST_POLL_S = 0.5
+"""A worker asks for a job again after the first of these; of a server that many ask, after more and more up to the
+last, each at another moment. Nothing tells a worker of a new job: commits would wait for each other."""
 
 log = structlog.get_logger(__name__)
 
@@ -51,6 +55,7 @@ class Worker:
     ) -> None:
         """`jobs` runs leased jobs."""
         self._claims = JobClaims(context.transactions, context.disk, context.blob_outage, identity.worker_id)
+        self._transactions = context.transactions
         self._jobs = jobs
         self._identity = identity
         self._stopping = stopping
@@ -67,18 +72,24 @@ class Worker:
 
     def run(self) -> None:
         """Work until told to stop; a job that was begun is finished."""
-        done = 0
+        done, pause_s = 0, IDLE_POLL_S
         with self._heartbeat:
             # The next gateway forgives the runs that it finds under way: an orphan must not begin one after that.
             while not (self._stopping.is_set() or self._identity.orphaned or self._used_up(done)):
                 lease = self._claim()
                 if lease is None:
-                    self._stopping.wait(IDLE_POLL_S)
-                    self._memory.after_waiting(IDLE_POLL_S)
+                    self._stopping.wait(pause_s)
+                    self._memory.after_waiting(pause_s)
+                    pause_s = next_pause_s(pause_s, alone=self._alone)
                     continue
                 self._run(lease)
-                done += 1
+                done, pause_s = done + 1, IDLE_POLL_S
         log.info("worker_stopped", jobs=done)
+
+    @property
+    def _alone(self) -> bool:
+        """Whether the workers of this machine are all that ask: a shared store does not tell of commits."""
+        return self._transactions.version() is not None
 
     def _used_up(self, done: int) -> bool:
         """Whether the worker has run enough jobs, or has kept so much memory of them that a fresh one is better."""
@@ -120,3 +131,8 @@ class Worker:
         except Unavailable as error:
             log.warning("claim_failed", reason=error.message)
             return None
+
+
+def next_pause_s(pause_s: float, *, alone: bool) -> float:
+    """The pause after one of `pause_s` in which no job came."""
+    return IDLE_POLL_S if alone else min(MOST_POLL_S, 1.5 * pause_s) * random.uniform(0.7, 1.0)

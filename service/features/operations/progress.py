@@ -35,7 +35,8 @@ class Progress:
             return
         self._stage, self._reported_ms = stage, now_ms
         report: dict[str, Any] = {"stage": stage, "done": done, "total": total}
-        if not self._transactions.write(partial(_report, lease=self._lease, report=report)).result():
+        told = self._transactions.write(partial(_report, lease=self._lease, report=report), durable=False)
+        if not told.result():
             raise OperationCancelled
 
 

@@ -13,7 +13,7 @@ from structlog.testing import capture_logs
 from revisit.service import ONE_THREAD
 from revisit.service.worker import free_memory, heartbeat
 from revisit.service.worker.heartbeat import WorkerIdentity, is_overtime
-from revisit.service.worker.loop import Worker, WorkerLimits
+from revisit.service.worker.loop import IDLE_POLL_S, MOST_POLL_S, Worker, WorkerLimits, next_pause_s
 from tests.support.patience import PATIENCE_S
 from tests.support.processes import ROOT
 from tests.support.service_world import TENANT, memory_world, open_session, submap
@@ -181,3 +181,12 @@ def test_a_process_of_the_service_starts_others_afresh_and_never_forks_itself():
 )
 def test_a_job_is_ended_by_the_work_that_it_does_and_not_by_the_load_of_the_machine(wall_s, cpu_s, over):
     assert is_overtime(wall_s, cpu_s, limit_s=120.0) is over
+
+
+def test_a_worker_asks_a_shared_store_more_and_more_seldom_and_a_store_of_its_own_at_once():
+    pauses = [IDLE_POLL_S]
+    for _ in range(50):
+        pauses.append(next_pause_s(pauses[-1], alone=False))
+    assert pauses[1] > 0.7 * IDLE_POLL_S and 0.5 * MOST_POLL_S < max(pauses) <= MOST_POLL_S
+    assert len(set(pauses)) > 40, "workers would ask all at the same moment"
+    assert next_pause_s(MOST_POLL_S, alone=True) == IDLE_POLL_S

@@ -1,0 +1,1 @@
+"""What engines of many machines can do, measured."""
