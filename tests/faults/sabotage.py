@@ -251,6 +251,13 @@ SABOTAGES = (
         f"{CRASH}test_an_undisturbed_drive_leaves_nothing_to_complain_about",
     ),
     Sabotage(
+        "loops do not wait for those that decide about them",
+        {f"{SERVICE}features.recognition.turns:_states": lambda _states: lambda _uow, submaps: submaps.clear() or []},
+        "tests/integration/test_order_of_entry.py::"
+        "test_loops_wait_for_those_that_decide_about_them_also_where_a_worker_ends",
+        quick=True,
+    ),
+    Sabotage(
         "a repeated request runs its job again",
         {f"{SERVICE}features.ingest.posting:SubmapPosting.post": _run_again},
         f"{CRASH}test_a_drive_that_is_repeated_runs_none_of_its_jobs_again",
