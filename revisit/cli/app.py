@@ -22,6 +22,7 @@ from revisit.cli import (
     maps,
     merging,
     operations,
+    plan,
     queries,
     reembed,
     serve,
@@ -52,7 +53,7 @@ def _version(wanted: bool) -> None:
 COMMANDS = (
     serve.serve, inspect.inspect, ingest.ingest, spool.spool, catalogue.maps, catalogue.delete, queries.query,
     queries.loops, watch.watch, export.export, merging.merge, operations.operations, demo.demo, evaluate.evaluate,
-    bench.bench, doctor.doctor, audit.audit, reembed.reembed, backup.backup, backup.restore, backup.scrub,
+    bench.bench, plan.plan, doctor.doctor, audit.audit, reembed.reembed, backup.backup, backup.restore, backup.scrub,
 )  # fmt: skip
 GROUPS = {
     "map": maps.group,

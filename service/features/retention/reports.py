@@ -8,7 +8,7 @@ from typing import Any
 
 from revisit.service.domain.retention import Redescription, RetentionPolicy, RetentionRule
 
-SCAN_ROW_BYTES = 560
+SCAN_ROW_BYTES = 573
 PAIR_ROW_BYTES = 900
 SUBMAP_ROW_BYTES = 4_100
 """Rows with their history and indexes, of a retired submap its descriptor: `docs/reference/measurements.md`. Blobs are
