@@ -1,0 +1,134 @@
+"""An installation moves to PostgreSQL and a bucket, and back, and is the same."""
+
+from __future__ import annotations
+
+import asyncio
+from contextlib import closing
+
+import pytest
+
+from revisit.service.domain.identity import SubmapKey, TenantId
+from revisit.service.engines import move
+from revisit.service.engines.local.files.blobs import FileBlobStore
+from revisit.service.engines.local.sqlite import connections as sqlite
+from revisit.service.engines.local.sqlite.migration import migrate
+from revisit.service.engines.move import MoveRefused, digest, move_blobs, move_rows, require_empty
+from revisit.service.engines.postgres import connections as postgres
+from revisit.service.engines.postgres.transactions import PostgresTransactions
+from revisit.service.features.audit.calls import judge
+from tests.support.credentials import a_key
+from tests.support.postgres import shared_server
+from tests.support.service_world import SESSION, TENANT, _world, open_session, policy, sqlite_world, submap
+from tests.support.stepped_clock import SteppedClock
+
+
+def quiet(_name: str, _count: int) -> None:
+    """Nobody is told."""
+
+
+@pytest.fixture
+def home(tmp_path):
+    """A data folder in use: a map with loops, a deleted submap (so that a number is free), a key, a job that waits."""
+    world = sqlite_world(tmp_path / "home")
+    asyncio.run(_used(world))
+    a_key(world)
+    world.context.transactions.close()
+    return tmp_path / "home"
+
+
+async def _used(world):
+    await open_session(world)
+    for number in range(6):
+        await world.use_cases.posting.post(TENANT, submap(f"s{number}", number // 2))
+    world.work_off()
+    await world.use_cases.submaps.delete(TENANT, SubmapKey(SESSION.map_id, SESSION.session_id, "s5"))
+    await world.use_cases.posting.post(TENANT, submap("waits", 9))
+
+
+@pytest.fixture
+def server():
+    return shared_server()
+
+
+def engines(home, url):
+    return sqlite.writer_engine(home / sqlite.DATABASE, checkpoints=True), postgres.writer_engine(url)
+
+
+def moved(source, target):
+    require_empty(target)
+    move_rows(source, target, quiet)
+
+
+async def test_rows_are_the_same_in_postgresql_and_back_again(home, tmp_path, server):
+    source, target = engines(home, server.made_database())
+    moved(source, target)
+    there = digest(target)
+    assert there == digest(source)
+    assert there[0]["submaps"] == 6 and there[0]["loop_closures"] > 0
+    (tmp_path / "back").mkdir()
+    migrate(tmp_path / "back" / sqlite.DATABASE)
+    back = sqlite.writer_engine(tmp_path / "back" / sqlite.DATABASE, checkpoints=True)
+    moved(target, back)
+    assert digest(back) == there
+    for engine in (source, target, back):
+        engine.dispose()
+
+
+async def test_a_broken_move_goes_on_where_it_ended(home, server, monkeypatch):
+    monkeypatch.setattr(move, "PORTION", 2)
+    source, target = engines(home, server.made_database())
+    portions = []
+
+    def breaks(name, count):
+        portions.append((name, count))
+        if len(portions) == 9:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        move_rows(source, target, breaks)
+    came = sum(count for _, count in portions)
+    move_rows(source, target, breaks)
+    assert digest(target) == digest(source)
+    assert sum(count for _, count in portions) == sum(digest(source)[0].values()) > came
+    source.dispose(), target.dispose()
+
+
+async def test_a_place_with_rows_is_refused(home, server):
+    source, target = engines(home, server.made_database())
+    moved(source, target)
+    with pytest.raises(MoveRefused, match="maps"):
+        require_empty(target)
+    source.dispose(), target.dispose()
+
+
+async def test_blobs_come_once_each_and_checked(home, tmp_path):
+    source, target = FileBlobStore(home / "blobs"), FileBlobStore(tmp_path / "elsewhere")
+    rows = sqlite.writer_engine(home / sqlite.DATABASE, checkpoints=True)
+    count = move_blobs(rows, source, target, quiet)
+    stored = {(blob.tenant, blob.kind, blob.sha256) for blob in target.stored(0.0)}
+    assert len(stored) == count > 6
+    for tenant, kind, sha256 in stored:
+        assert target.get(TenantId(tenant), kind, sha256) == source.get(TenantId(tenant), kind, sha256)
+    assert move_blobs(rows, source, target, quiet) == count
+    rows.dispose()
+
+
+async def test_the_service_goes_on_from_the_moved_rows(home, server):
+    url = server.made_database()
+    source, target = engines(home, url)
+    moved(source, target)
+    source.dispose(), target.dispose()
+    clock = SteppedClock()
+    with closing(PostgresTransactions(url, lease_ms=10_000, clock=clock, now_ms=lambda _: clock.ms)) as transactions:
+        world = _world(transactions, FileBlobStore(home / "blobs"), policy(), clock)
+        assert world.work_off() == 1, "the job that waited"
+        posted = await world.use_cases.posting.post(TENANT, submap("later", 1))
+        row = transactions.read(lambda uow: uow.submaps.get(*_named(posted))).result()
+        assert row.number > 7, "the number of the deleted submap is not given again"
+        assert world.work_off() >= 1
+        audited = transactions.read(lambda uow: uow.audit.since(0, 100)).result()
+        assert len(audited) > 1 and judge(audited, len(audited)).fault is None
+
+
+def _named(posted):
+    return TENANT, SESSION.map_id, SESSION.session_id, posted.submap.key.submap_id
