@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import hashlib
 import hmac
 import importlib
@@ -23,6 +22,7 @@ from revisit.service.access_rules import access_rules
 from revisit.service.adapters.core_map_merger import CoreMapMerger
 from revisit.service.adapters.core_map_optimiser import CoreMapOptimiser
 from revisit.service.adapters.core_tile_maker import CoreTileMaker
+from revisit.service.capacity.budget import GatewayShare
 from revisit.service.capacity.call_pace import CallPace
 from revisit.service.capacity.in_flight import InFlight
 from revisit.service.compiled_kernels import begin_anew_if_compiled
@@ -35,18 +35,13 @@ from revisit.service.engines.local.files.file_drafts import FileDrafts
 from revisit.service.engines.local.files.index_files import IndexFiles
 from revisit.service.engines.local.files.secret_files import SECRET_BYTES, kept_secret
 from revisit.service.engines.local.sqlite.blob_rows import newest_clouds
-from revisit.service.engines.local.sqlite.checkpoints import Checkpoints
 from revisit.service.engines.local.sqlite.connections import open_to_read, write_ahead_log
-from revisit.service.engines.local.sqlite.transactions import StorageFailures
 from revisit.service.engines.local.vector_index import SAVED_FROM, PlaceVectorIndex
 from revisit.service.engines.state import state_of
 from revisit.service.engines.stored_blobs import BlobStoreUnusable
 from revisit.service.features.index.caught_up_index import CaughtUpIndex
 from revisit.service.features.recognition.reembedding import Reembedding
 from revisit.service.features.upkeep.calls import WORKER_SEEN_WITHIN_MS
-from revisit.service.features.upkeep.chores import Chore
-from revisit.service.features.upkeep.forgetting import forget_answers, forget_events
-from revisit.service.features.upkeep.sweeping import collect, sweep
 from revisit.service.features.webhooks.deliveries import Deliveries
 from revisit.service.large_blocks import SPARE_BYTES, return_large_blocks, share_one_heap
 from revisit.service.ports.blobs import BlobOutage, BlobStore, NoOutage
@@ -65,19 +60,6 @@ from revisit.service.worker.loop import Worker, WorkerLimits
 if TYPE_CHECKING:
     from revisit.core.index import PlaceIndex
     from revisit.service.engines.s3.blobs import S3BlobStore
-
-TEND_DISK_EVERY_S = 0.5
-FOLD_LOG_BACK_EVERY_S = 1.0
-SWEEP_EVERY_S = 6 * 3600.0
-COLLECT_EVERY_S = 20.0
-LOAD_INDEX_EVERY_S = 1.0
-AUDIT_INDEX_EVERY_S = 1.0
-TEND_INDEX_FILES_EVERY_S = 2.0
-ERASE_EVERY_S = 5.0
-RETAIN_EVERY_S = 600.0
-FORGET_ANSWERS_EVERY_S = 60.0
-FORGET_EVENTS_EVERY_S = 60.0
-DELIVER_WEBHOOKS_EVERY_S = 1.0
 
 PAGE_SECRET = "pages.key"
 """The file in the data folder that makes the tokens of pages good beyond a restart."""
@@ -99,12 +81,18 @@ log = structlog.get_logger(__name__)
 def build_context(settings: Settings, *, gateway: bool, fail_stop: FailStop | None = None) -> ServiceContext:
     """The context of a process. The gateway alone checkpoints the database; a failing disk trips `fail_stop`."""
     policy, disk, switch = settings.policy, build_disk(settings), fail_stop or FailStop()
+    share = GatewayShare()
     in_flight = InFlight(
-        settings.capacity, current_actor, note_refused=lambda tenant, client: pace.note_refused(tenant, client)
+        settings.capacity,
+        current_actor,
+        note_refused=lambda tenant, client: pace.note_refused(tenant, client),
+        share=share,
     )
-    pace = CallPace(others_wait=in_flight.others_wait)
-    clock = SystemClock()
-    transactions = state_of(settings.home, settings.database_url).transactions(
+    pace = CallPace(others_wait=in_flight.others_wait, share=share)
+    clock, state = SystemClock(), state_of(settings.home, settings.database_url)
+    # Rows name one file of an index, which other machines would not have.
+    files = IndexFiles(settings.home / INDEX_FILES) if state.on_this_machine else None
+    transactions = state.transactions(
         gateway=gateway, lease_ms=policy.lease_ms, clock=clock, fail_stop=switch, on_full=disk.release
     )
     blobs, outage = build_blobs(settings, fail_stop=switch, on_full=disk.release)
@@ -112,11 +100,10 @@ def build_context(settings: Settings, *, gateway: bool, fail_stop: FailStop | No
         transactions=transactions,
         blobs=blobs,
         blob_outage=outage,
-        index=PlaceVectorIndex(
-            _new_index, IndexFiles(settings.home / INDEX_FILES), saved_from=SAVED_FROM if gateway else None
-        ),
+        index=PlaceVectorIndex(_new_index, files, saved_from=SAVED_FROM if gateway else None),
         clock=clock,
         policy=policy,
+        share=share,
         in_flight=in_flight,
         pace=pace,
         disk=disk,
@@ -190,55 +177,6 @@ def page_secret(settings: Settings) -> bytes:
 def build_disk(settings: Settings) -> Disk:
     """The disk of the data with its reserve."""
     return Disk(settings.home, settings.reserve_mb * 2**20, write_ahead_log(settings.database))
-
-
-def chores(settings: Settings, context: ServiceContext, fail_stop: FailStop) -> tuple[Chore, ...]:
-    """The periodic work of the gateway; a failing disk trips `fail_stop`."""
-    disk, keeper = build_disk(settings), context.index_keeper()
-    failures = StorageFailures(write_ahead_log(settings.database), fail_stop, disk.release)
-    checkpoints = Checkpoints(settings.database, failures)
-
-    async def tend_disk() -> None:
-        await asyncio.to_thread(disk.tend)
-
-    async def fold_log_back() -> None:
-        await asyncio.to_thread(checkpoints.tend)
-
-    async def sweep_blobs() -> None:
-        await sweep(context.storage)
-
-    async def collect_blobs() -> None:
-        await collect(context.storage)
-
-    async def audit_index() -> None:
-        await keeper.audit()
-
-    async def tend_index_files() -> None:
-        await keeper.tend_files()
-
-    async def forget() -> None:
-        await forget_answers(context.storage, context.clock)
-
-    async def forget_old_events() -> None:
-        await forget_events(context.storage)
-
-    deliveries = build_deliveries(settings, context)
-
-    folding = Chore("fold_log_back", FOLD_LOG_BACK_EVERY_S, fold_log_back, at_end=True)
-    return (
-        Chore("tend_disk", TEND_DISK_EVERY_S, tend_disk),
-        *((folding,) if state_of(settings.home, settings.database_url).on_this_machine else ()),
-        Chore("sweep_blobs", SWEEP_EVERY_S, sweep_blobs),
-        Chore("collect_blobs", COLLECT_EVERY_S, collect_blobs),
-        Chore("erase_deleted", ERASE_EVERY_S, context.erasure.all, close=context.erasure.close),
-        Chore("retention", RETAIN_EVERY_S, context.retention.all),
-        Chore("load_index", LOAD_INDEX_EVERY_S, keeper.load),
-        Chore("audit_index", AUDIT_INDEX_EVERY_S, audit_index),
-        Chore("tend_index_files", TEND_INDEX_FILES_EVERY_S, tend_index_files),
-        Chore("forget_answers", FORGET_ANSWERS_EVERY_S, forget),
-        Chore("forget_events", FORGET_EVENTS_EVERY_S, forget_old_events),
-        Chore("deliver_webhooks", DELIVER_WEBHOOKS_EVERY_S, deliveries.deliver_due, close=deliveries.close),
-    )
 
 
 def build_deliveries(settings: Settings, context: ServiceContext) -> Deliveries:

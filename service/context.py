@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 from revisit.service.capacity.backlog import Backlog
+from revisit.service.capacity.budget import GatewayShare
 from revisit.service.capacity.byte_budget import ByteBudget
 from revisit.service.capacity.call_pace import CallPace
 from revisit.service.capacity.in_flight import InFlight
@@ -57,6 +58,7 @@ class ServiceContext:
     clock: Clock
     policy: Policy
     stopping: threading.Event = field(default_factory=threading.Event)
+    share: GatewayShare = field(default_factory=GatewayShare)
     in_flight: InFlight = field(default_factory=InFlight)
     pace: CallPace = field(default_factory=CallPace)
     disk: DiskSpace = field(default_factory=UnlimitedDisk)

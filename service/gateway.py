@@ -17,7 +17,8 @@ import uvicorn
 from prometheus_client import ProcessCollector
 
 from revisit.service import VERSION
-from revisit.service.composition import build_context, build_tracer, build_use_cases, chores, require_bucket
+from revisit.service.chores import chores
+from revisit.service.composition import build_context, build_tracer, build_use_cases, require_bucket
 from revisit.service.context import ServiceContext
 from revisit.service.engines.local.files.disk import FailStop
 from revisit.service.engines.state import State

@@ -21,6 +21,7 @@ from revisit.cli import (
     keys,
     maps,
     merging,
+    move,
     operations,
     plan,
     queries,
@@ -54,6 +55,7 @@ COMMANDS = (
     serve.serve, inspect.inspect, ingest.ingest, spool.spool, catalogue.maps, catalogue.delete, queries.query,
     queries.loops, watch.watch, export.export, merging.merge, operations.operations, demo.demo, evaluate.evaluate,
     bench.bench, plan.plan, doctor.doctor, audit.audit, reembed.reembed, backup.backup, backup.restore, backup.scrub,
+    move.move,
 )  # fmt: skip
 GROUPS = {
     "map": maps.group,

@@ -12,8 +12,7 @@ from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
 from functools import partial
 
-from revisit.service.capacity.budget import Rate, RateBudget, Remembered, wait_while
-from revisit.service.capacity.gateway_share import GatewayShare
+from revisit.service.capacity.budget import GatewayShare, Rate, RateBudget, Remembered, wait_while
 from revisit.service.capacity.limits import (
     CALL_POLL_S,
     CALL_POLLS,

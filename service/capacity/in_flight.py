@@ -16,8 +16,7 @@ from functools import partial
 from itertools import islice
 
 from revisit.core.errors import RevisitError
-from revisit.service.capacity.budget import Budget, Held, Rate, RateBudget, Remembered, wait_while
-from revisit.service.capacity.gateway_share import GatewayShare
+from revisit.service.capacity.budget import Budget, GatewayShare, Held, Rate, RateBudget, Remembered, wait_while
 from revisit.service.capacity.limits import (
     BESIDE_OTHERS,
     CALL_POINTS,

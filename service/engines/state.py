@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from contextlib import AbstractContextManager, nullcontext
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from pathlib import Path
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 from revisit.service.engines.local.clock import SystemClock
 from revisit.service.engines.local.files.disk import FailStop
 from revisit.service.ports.transactions import Transactions
+
+if TYPE_CHECKING:
+    from sqlalchemy import Engine
 
 
 class State(Protocol):
@@ -45,6 +48,10 @@ class State(Protocol):
         self, *, gateway: bool, lease_ms: int, clock: SystemClock, fail_stop: FailStop, on_full: Callable[[], None]
     ) -> Transactions:
         """Open it."""
+        ...
+
+    def writer(self) -> AbstractContextManager[Engine]:
+        """An engine of one connection beside all transactions, for a move; closed at the end."""
         ...
 
 
@@ -112,6 +119,12 @@ class SqliteState:
             on_full=on_full,
         )
 
+    def writer(self) -> AbstractContextManager[Engine]:
+        """See `State`."""
+        from revisit.service.engines.local.sqlite.connections import writer_engine
+
+        return _closed(writer_engine(self._database, checkpoints=True))
+
 
 class PostgresState:
     """`State` in a PostgreSQL database, which any number of gateways and workers share."""
@@ -160,3 +173,17 @@ class PostgresState:
 
         self._home.mkdir(parents=True, exist_ok=True, mode=0o700)
         return PostgresTransactions(self._url, lease_ms=lease_ms, clock=clock)
+
+    def writer(self) -> AbstractContextManager[Engine]:
+        """See `State`."""
+        from revisit.service.engines.postgres.connections import writer_engine
+
+        return _closed(writer_engine(self._url))
+
+
+@contextmanager
+def _closed(engine: Engine) -> Iterator[Engine]:
+    try:
+        yield engine
+    finally:
+        engine.dispose()

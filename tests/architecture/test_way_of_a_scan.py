@@ -18,8 +18,8 @@ MOST = {
         "service/wire/": 1,
         "service/features/": 3,
         "service/capacity/": 3,
-        "service/engines/": 10,
-        "": 27,
+        "service/engines/": 12,
+        "": 29,
     },
     "end": {"": 13},
 }

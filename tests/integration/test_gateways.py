@@ -8,8 +8,8 @@ from contextlib import ExitStack
 import pytest
 
 from revisit.core.errors import RevisitError
+from revisit.service.capacity.budget import GatewayShare
 from revisit.service.capacity.call_pace import CallPace
-from revisit.service.capacity.gateway_share import GatewayShare
 from revisit.service.capacity.in_flight import InFlight
 from revisit.service.capacity.limits import CALL_POINTS, CapacityLimits, PaceLimits
 from revisit.service.domain.identity import TenantId

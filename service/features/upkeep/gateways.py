@@ -6,7 +6,7 @@ import secrets
 import time
 from collections.abc import Awaitable, Callable
 
-from revisit.service.capacity.gateway_share import GatewayShare
+from revisit.service.capacity.budget import GatewayShare
 from revisit.service.domain.processes import LivingProcess, ProcessRole
 from revisit.service.ports.storage import Storage
 from revisit.service.ports.transactions import UnitOfWork
