@@ -19,7 +19,7 @@ MOST = {
         "service/features/": 3,
         "service/capacity/": 3,
         "service/engines/": 12,
-        "": 29,
+        "": 30,
     },
     "end": {"": 13},
 }

@@ -1,1 +1,0 @@
-"""What engines of many machines can do, measured."""
