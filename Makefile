@@ -14,7 +14,7 @@ BIN := .venv/bin
 PYTHON := $(BIN)/python
 STAMP := .venv/.set-up
 
-.PHONY: help setup demo run test test-unit test-all lint types generated check bench proto docs site format clean
+.PHONY: help setup demo run test test-unit test-all lint types generated check bench proto docs site sbom format clean
 
 help: ## list these commands
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "make %-10s %s\n", $$1, $$2}'
@@ -69,6 +69,10 @@ docs: $(STAMP) ## write the reference pages, openapi.json and the index of the d
 
 site: $(STAMP) ## build the documentation as a website in build/site; search works offline
 	$(PYTHON) scripts/site.py
+
+sbom: $(STAMP) ## write the bill of materials of the service with its pinned dependencies: out/sbom.cdx.json
+	$(PYTHON) -m venv --clear build/service && build/service/bin/pip install -q -c constraints.txt '.[service]'
+	$(PYTHON) scripts/sbom.py out/sbom.cdx.json build/service/bin/python
 
 format: $(STAMP) ## format the code
 	$(BIN)/ruff format .

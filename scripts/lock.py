@@ -1,8 +1,8 @@
 """Write the hashes of wheels as a file that pip takes with --require-hashes: `lock.py FOLDER... > requirements.lock`.
 
-A FOLDER is what `pip download --only-binary :all: -c constraints.txt -d FOLDER '.[service]'` has filled; give one for
+`pip download --only-binary :all: -c constraints.txt -d FOLDER '.[service]' setuptools` fills a FOLDER. Give one for
 each platform that the file is to serve. It names each distribution's pinned version and every wheel of it that was
-there.
+there. docker/Dockerfile takes it where it lies in the root of the repository.
 """
 
 from __future__ import annotations

@@ -1,6 +1,7 @@
-"""Write what this environment and the page consist of as a bill of materials (CycloneDX 1.6, JSON): `sbom.py [FILE]`.
+"""Write a bill of materials (CycloneDX 1.6, JSON) of an environment and of the page: `sbom.py [FILE [PYTHON]]`.
 
-FILE is out/sbom.cdx.json by default. The same environment gives the same file, byte for byte.
+FILE is out/sbom.cdx.json by default; PYTHON is the interpreter of the environment, by default this one. The same
+environment gives the same file, byte for byte. `make sbom` writes the bill of the service as it is installed.
 """
 
 from __future__ import annotations
@@ -16,12 +17,12 @@ DEFAULT = ROOT / "out" / "sbom.cdx.json"
 VENDORED = ROOT / "service" / "web" / "vendor" / "vendored.json"
 
 
-def write_sbom(file: Path) -> None:
-    """Write the bill of the running interpreter's environment. Raises CalledProcessError where it cannot be made."""
+def write_sbom(file: Path, python: str = sys.executable) -> None:
+    """Write the bill of the environment of `python`. Raises CalledProcessError where it cannot be made."""
     file.parent.mkdir(parents=True, exist_ok=True)
     # Without qualifiers a package's address does not say from where it was downloaded here.
     options = ["--output-reproducible", "--short-PURLs", "--sv", "1.6", "--of", "JSON", "-o", str(file)]
-    subprocess.run([sys.executable, "-m", "cyclonedx_py", "environment", *options, sys.executable], check=True)
+    subprocess.run([sys.executable, "-m", "cyclonedx_py", "environment", *options, python], check=True)
     bill = json.loads(file.read_text())
     bill["components"] += [vendored(part) for part in json.loads(VENDORED.read_text())]
     file.write_text(json.dumps(bill, indent=2) + "\n")
@@ -42,11 +43,11 @@ def vendored(part: dict[str, Any]) -> dict[str, Any]:
 
 def main(arguments: list[str]) -> int:
     """Run the command line; the exit status."""
-    if len(arguments) > 1 or "--help" in arguments:
+    if len(arguments) > 2 or "--help" in arguments:
         print(__doc__)
         return 2
     file = Path(arguments[0]) if arguments else DEFAULT
-    write_sbom(file)
+    write_sbom(file, *arguments[1:])
     print(file)
     return 0
 

@@ -89,8 +89,9 @@ def test_all_that_is_copied_exists_and_is_let_through():
     ignored = (ROOT / ".dockerignore").read_text().splitlines()
     copied = [rest for word, rest in instructions(DOCKERFILE) if word == "COPY" and not rest.startswith("--from")]
     for source in " ".join(rest.rpartition(" ")[0] for rest in copied).split():
-        assert (ROOT / source).exists(), source
-        assert f"!{Path(source)}" in ignored
+        # `*` at the end: the file may be missing.
+        assert source.endswith("*") or (ROOT / source).exists(), source
+        assert f"!{Path(source.removesuffix('*'))}" in ignored
 
 
 def test_every_folder_that_is_linked_into_the_package_is_copied_beside_it():

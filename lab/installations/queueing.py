@@ -1,0 +1,70 @@
+"""Waiting lines, simulated customer by customer: the database as one server, workers as many."""
+
+from __future__ import annotations
+
+import heapq
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lab.installations.constants import constants
+
+Floats = NDArray[np.float64]
+
+JITTER = 0.2
+"""Of the time between two scans of a robot: its speed is not steady."""
+
+
+@dataclass(frozen=True)
+class Waits:
+    """Seconds from a scan to its acknowledgement, and from the end of a submap to its loops."""
+
+    acknowledged_s: Floats
+    found_s: Floats
+
+    def row(self) -> tuple[float, ...]:
+        """Median and 99th percentile of both."""
+        return tuple(
+            float(np.quantile(of, share)) for of in (self.acknowledged_s, self.found_s) for share in (0.5, 0.99)
+        )
+
+
+def arrivals(robots: int, gap_s: float, duration_s: float, rng: np.random.Generator) -> Floats:
+    """Moments, in order, at which robots that began at any time send something every `gap_s` or so."""
+    count = int(duration_s / gap_s)
+    gaps = gap_s * rng.uniform(1 - JITTER, 1 + JITTER, (robots, count))
+    moments = rng.uniform(0, gap_s, (robots, 1)) + np.cumsum(gaps, axis=1)
+    return np.sort(moments.ravel())
+
+
+def served(arrive_s: Floats, service_s: Floats, servers: int) -> Floats:
+    """When each customer leaves a first-come line before `servers` equal servers, seconds."""
+    free = [0.0] * servers
+    left = np.empty_like(arrive_s)
+    for number, (came, takes) in enumerate(zip(arrive_s.tolist(), service_s.tolist(), strict=True)):
+        left[number] = max(came, heapq.heappop(free)) + takes
+        heapq.heappush(free, float(left[number]))
+    return left
+
+
+def waits(robots: int, workers: int, duration_s: float = 120.0, seed: int = 1) -> Waits:
+    """An installation under `robots` with `workers` cores for describing, from an empty start."""
+    known, rng = constants(), np.random.default_rng(seed)
+    scans = arrivals(robots, 1.0 / known["scans_per_metre"], duration_s, rng)
+    submaps = arrivals(robots, known["metres_per_submap"], duration_s, rng)
+    committed = _database(scans, submaps, known, rng)
+    stored = np.sort(committed[1])
+    shape = known["worker_variation"] ** -2
+    takes = rng.gamma(shape, known["worker_s_per_submap"] / shape, len(submaps))
+    return Waits(committed[0] - scans, served(stored, takes, workers) - submaps)
+
+
+def _database(scans: Floats, jobs: Floats, known: dict[str, float], rng: np.random.Generator) -> tuple[Floats, Floats]:
+    """When scans and jobs are committed by a database that serves them one after the other."""
+    moments = np.concatenate([scans, jobs])
+    means = np.repeat([1 / known["acknowledgements_per_s"], 1 / known["jobs_per_s"]], [len(scans), len(jobs)])
+    order = np.argsort(moments, kind="stable")
+    left = np.empty_like(moments)
+    left[order] = served(moments[order], rng.exponential(means[order]), 1)
+    return left[: len(scans)], left[len(scans) :]

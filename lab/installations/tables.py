@@ -1,0 +1,61 @@
+"""The tables of the page on fleets beyond one database."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from lab.installations.constants import constants
+from lab.installations.directory import SITES, as_they_come, by_directory, by_hash, site_sizes
+from lab.installations.parts import parts
+from lab.installations.queueing import waits
+
+FLEET = 10_000
+ROBOTS = (500, 750, 1000, 1100)
+BUSY = (0.7, 0.9)
+"""Shares of their time in which the workers of an installation work."""
+
+INSTALLATIONS = (10, 12, 16, 20)
+
+
+def parts_table() -> str:
+    """The robots that one of each part carries, and how many a fleet needs."""
+    rows = (
+        (part.name, f"{FLEET * part.per_robot:,.0f} {part.unit}", f"{part.robots:,}", part.then)
+        for part in parts(constants())
+    )
+    return _table(("part", "load of 10,000 robots", "one carries, robots", "then add a"), rows)
+
+
+def waits_table() -> str:
+    """Times until acknowledgements and loops, by robots of an installation and load of its workers."""
+    known = constants()
+    need = known["worker_s_per_submap"] / known["metres_per_submap"]
+    rows = []
+    for robots in ROBOTS:
+        for busy in BUSY:
+            workers = round(robots * need / busy)
+            told = waits(robots, workers).row()
+            rows.append((str(robots), str(workers), *(f"{1000 * s:,.0f}" for s in told)))
+    columns = ("robots", "worker cores", "acknowledged, p50 ms", "p99", "loops known, p50 ms", "p99")
+    return _table(columns, rows)
+
+
+def fleet_table() -> str:
+    """The fullest installation by number of installations and way of choosing."""
+    sizes = site_sizes(FLEET)
+    ends = min(part.robots for part in parts(constants()) if part.then == "installation")
+    rows = []
+    for count in INSTALLATIONS:
+        loads = (
+            by_hash(sizes, count),
+            by_directory(sizes, count, as_they_come()),
+            by_directory(sizes, count, range(SITES)),
+        )
+        rows.append((str(count), *(f"{100 * max(load) / ends:.0f} %" for load in loads)))
+    columns = ("installations", "fullest database, sites by hash", "by directory as they come", "largest first")
+    return _table(columns, rows)
+
+
+def _table(columns: tuple[str, ...], rows: Iterable[tuple[str, ...]]) -> str:
+    lines = [" | ".join(row) for row in (columns, ("---",) * len(columns), *rows)]
+    return "\n".join(f"| {line} |" for line in lines)
