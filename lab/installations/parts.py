@@ -4,6 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from revisit.cli.sizing import Fleet, need_of, value
+
+SCANS_S = 1.0
+"""A robot at 1 m/s sends a scan a metre, of 64 beams."""
+
 
 @dataclass(frozen=True)
 class Part:
@@ -21,26 +26,39 @@ class Part:
         return int(self.capacity / self.per_robot)
 
 
-def parts(known: dict[str, float]) -> tuple[Part, ...]:
-    """The parts under robots that drive at 1 m/s."""
-    scans_per_s = known["scans_per_metre"]
-    submaps_per_s = 1.0 / known["metres_per_submap"]
-    rows_per_s = scans_per_s + known["rows_per_submap"] * submaps_per_s
-    database = scans_per_s / known["acknowledgements_per_s"] + submaps_per_s / known["jobs_per_s"]
+def fleet(robots: int) -> Fleet:
+    """Robots at work all day, for one day."""
+    return Fleet(robots, hz=SCANS_S, days=1.0)
+
+
+def parts() -> tuple[Part, ...]:
+    """The parts of an installation."""
+    need = need_of(fleet(1))
+    million, hundred_thousand = value("searches_s_a_core_at_a_million"), value("searches_s_a_core")
     return (
+        Part("search, map of a million places", need.submaps_s, million, "searches/s", "replica"),
+        Part("search, map of 100,000 places", need.submaps_s, hundred_thousand, "searches/s", "replica"),
+        Part("gateway, a core", need.gateway_cores, 1.0, "cores", "gateway"),
+        Part("worker, a core", need.worker_cores, 1.0, "cores", "worker"),
         Part(
-            "search, map of a million places", submaps_per_s, known["searches_per_s_1000000"], "searches/s", "replica"
+            "database, commits", need.scans_s * commit_s() + need.submaps_s * job_s(), 1.0, "databases", "installation"
         ),
-        Part("search, map of 100,000 places", submaps_per_s, known["searches_per_s_100000"], "searches/s", "replica"),
-        Part("gateway, a core", scans_per_s * known["gateway_s_per_scan"], 1.0, "CPU s/s", "gateway"),
-        Part("worker, a core", submaps_per_s * known["worker_s_per_submap"], 1.0, "CPU s/s", "worker"),
-        Part("database, commits", database, 1.0, "databases", "installation"),
-        Part("database, rows", rows_per_s, known["rows_per_s"], "rows/s", "installation"),
+        Part("database, rows", need.row_writes_s, value("row_writes_s_postgres"), "rows/s", "installation"),
     )
 
 
-def bytes_a_day(known: dict[str, float], robots: int) -> tuple[float, float]:
-    """Bytes kept for good, and bytes of raw scans, that a day of 24 h adds."""
-    metres = 86400.0 * robots
-    kept = metres / known["metres_per_submap"] * known["kept_bytes_per_submap"]
-    return kept, metres * known["scans_per_metre"] * known["scan_bytes"]
+def commit_s() -> float:
+    """Time of a database that an acknowledgement takes, seconds."""
+    return 1.0 / value("acknowledgements_s_postgres")
+
+
+def job_s() -> float:
+    """Time of a database that a job takes, seconds."""
+    return 1.0 / value("jobs_s_postgres")
+
+
+def bytes_a_day(robots: int) -> tuple[float, float]:
+    """Bytes of maps, and bytes of raw scans, that a day of 24 h adds."""
+    stored = need_of(fleet(robots)).disk_bytes
+    scans = stored["scans"] + stored["rows of scans"]
+    return sum(stored.values()) - scans, scans

@@ -8,12 +8,17 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from lab.installations.constants import constants
+from lab.installations.parts import SCANS_S, commit_s, fleet, job_s
+from revisit.cli.sizing import need_of, value
 
 Floats = NDArray[np.float64]
 
 JITTER = 0.2
 """Of the time between two scans of a robot: its speed is not steady."""
+
+
+VARIATION = 0.3
+"""Of the time that a submap takes a worker: standard deviation over mean. Assumed."""
 
 
 @dataclass(frozen=True)
@@ -50,20 +55,19 @@ def served(arrive_s: Floats, service_s: Floats, servers: int) -> Floats:
 
 def waits(robots: int, workers: int, duration_s: float = 120.0, seed: int = 1) -> Waits:
     """An installation under `robots` with `workers` cores for describing, from an empty start."""
-    known, rng = constants(), np.random.default_rng(seed)
-    scans = arrivals(robots, 1.0 / known["scans_per_metre"], duration_s, rng)
-    submaps = arrivals(robots, known["metres_per_submap"], duration_s, rng)
-    committed = _database(scans, submaps, known, rng)
-    stored = np.sort(committed[1])
-    shape = known["worker_variation"] ** -2
-    takes = rng.gamma(shape, known["worker_s_per_submap"] / shape, len(submaps))
-    return Waits(committed[0] - scans, served(stored, takes, workers) - submaps)
+    rng, submaps_s = np.random.default_rng(seed), need_of(fleet(1)).submaps_s
+    scans = arrivals(robots, 1.0 / SCANS_S, duration_s, rng)
+    submaps = arrivals(robots, 1.0 / submaps_s, duration_s, rng)
+    acknowledged, stored = _committed(scans, submaps, rng)
+    shape = VARIATION**-2
+    takes = rng.gamma(shape, value("worker_cpu_s_a_submap") / shape, len(submaps))
+    return Waits(acknowledged - scans, served(np.sort(stored), takes, workers) - submaps)
 
 
-def _database(scans: Floats, jobs: Floats, known: dict[str, float], rng: np.random.Generator) -> tuple[Floats, Floats]:
+def _committed(scans: Floats, jobs: Floats, rng: np.random.Generator) -> tuple[Floats, Floats]:
     """When scans and jobs are committed by a database that serves them one after the other."""
     moments = np.concatenate([scans, jobs])
-    means = np.repeat([1 / known["acknowledgements_per_s"], 1 / known["jobs_per_s"]], [len(scans), len(jobs)])
+    means = np.repeat([commit_s(), job_s()], [len(scans), len(jobs)])
     order = np.argsort(moments, kind="stable")
     left = np.empty_like(moments)
     left[order] = served(moments[order], rng.exponential(means[order]), 1)

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from lab.installations.constants import constants
 from lab.installations.directory import SITES, as_they_come, by_directory, by_hash, site_sizes
-from lab.installations.parts import parts
+from lab.installations.parts import fleet, parts
 from lab.installations.queueing import waits
+from revisit.cli.sizing import need_of
 
 FLEET = 10_000
 ROBOTS = (500, 750, 1000, 1100)
@@ -20,16 +20,14 @@ INSTALLATIONS = (10, 12, 16, 20)
 def parts_table() -> str:
     """The robots that one of each part carries, and how many a fleet needs."""
     rows = (
-        (part.name, f"{FLEET * part.per_robot:,.0f} {part.unit}", f"{part.robots:,}", part.then)
-        for part in parts(constants())
+        (part.name, f"{FLEET * part.per_robot:,.0f} {part.unit}", f"{part.robots:,}", part.then) for part in parts()
     )
     return _table(("part", "load of 10,000 robots", "one carries, robots", "then add a"), rows)
 
 
 def waits_table() -> str:
     """Times until acknowledgements and loops, by robots of an installation and load of its workers."""
-    known = constants()
-    need = known["worker_s_per_submap"] / known["metres_per_submap"]
+    need = need_of(fleet(1)).worker_cores
     rows = []
     for robots in ROBOTS:
         for busy in BUSY:
@@ -43,7 +41,7 @@ def waits_table() -> str:
 def fleet_table() -> str:
     """The fullest installation by number of installations and way of choosing."""
     sizes = site_sizes(FLEET)
-    ends = min(part.robots for part in parts(constants()) if part.then == "installation")
+    ends = min(part.robots for part in parts() if part.then == "installation")
     rows = []
     for count in INSTALLATIONS:
         loads = (

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lab.installations.constants import constants
 from lab.installations.directory import SITES, as_they_come, by_directory, by_hash, site_sizes
 from lab.installations.parts import bytes_a_day, parts
 from lab.installations.queueing import arrivals, served, waits
@@ -56,9 +55,9 @@ def test_a_directory_that_knows_sizes_is_the_most_even():
 
 
 def test_the_database_is_the_first_part_that_cannot_be_added_to():
-    carried = {part.robots: part.then for part in parts(constants()) if part.then == "installation"}
+    carried = {part.robots: part.then for part in parts() if part.then == "installation"}
     assert f"{min(carried):,}" in PAGE
-    kept, raw = bytes_a_day(constants(), 10_000)
+    kept, raw = bytes_a_day(10_000)
     assert f"{kept / 1e12:.1f} TB a day" in PAGE and f"{raw / 1e12:.0f} TB" in PAGE
 
 
