@@ -26,6 +26,7 @@ PASSING = {
     "too many requests": Fault(refused=(429, "TooManyRequests")),
     "answer lost": Fault(answer_lost=True),
     "body cut": Fault(body_cut=1_000),
+    "answer cut": Fault(body_cut=10),
     "silent": Fault(silent=True),
 }
 OPERATIONS = {
@@ -67,6 +68,25 @@ def test_a_fault_that_passes_is_survived_within_the_call(bucket, link, fault):
     assert [one.sha256 for one in blobs.stored(0.0)] == [name]
     assert link.count("PUT") >= 1 and link.count("GET") >= 3
     assert blobs.unreachable() == ""
+
+
+@pytest.mark.parametrize("fault", [SLOW_DOWN, Fault(answer_lost=True), Fault(body_cut=10)], ids=["503", "lost", "cut"])
+def test_a_deletion_whose_answer_is_lost_is_sent_again(bucket, link, fault):
+    blobs = S3BlobStore(bucket)
+    name = blobs.put(TENANT, "cloud", POINTS)
+    link.fault = at_first(fault)
+    blobs.delete([StoredBlob(TENANT, "cloud", name)])
+    assert list(blobs.stored(0.0)) == []
+    assert link.count("POST") == 2
+
+
+def test_a_deletion_that_gets_no_answer_is_sent_once_so_that_none_comes_late(bucket, link):
+    blobs = S3BlobStore(bucket, request_s=0.2)
+    name = blobs.put(TENANT, "cloud", POINTS)
+    link.fault = at_first(Fault(silent=True))
+    with pytest.raises(StorageUncertain):
+        blobs.delete([StoredBlob(TENANT, "cloud", name)])
+    assert link.count("POST") == 1
 
 
 def test_a_blob_whose_answer_was_lost_is_stored_and_sent_again(bucket, link):

@@ -12,9 +12,10 @@ import os
 import secrets
 import threading
 import time
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from datetime import UTC, datetime, timedelta
+from typing import TYPE_CHECKING
 from urllib.parse import urlsplit
 
 import structlog
@@ -30,6 +31,7 @@ from revisit.service.engines.s3.failures import (
     is_mistake,
     reason_of,
     translated,
+    whole,
 )
 from revisit.service.engines.s3.recent_blobs import RecentBlobs
 from revisit.service.engines.stored_blobs import (
@@ -43,6 +45,9 @@ from revisit.service.engines.stored_blobs import (
     require_whole,
 )
 from revisit.service.ports.blobs import StoredBlob
+
+if TYPE_CHECKING:
+    from obstore import ObjectMeta
 
 REQUEST_S = 8.0
 """Longest time of one request; 64 MiB take it at 8 MiB/s. With `RETRIES_S` less than the 15 s of an end by SIGTERM."""
@@ -126,7 +131,7 @@ class S3BlobStore:
         self._recent.drop(keys)
         with self._asked():
             try:
-                self._store.delete(keys)
+                whole(lambda: self._store.delete(keys))
             except FileNotFoundError as error:
                 if not is_missing(error):
                     raise
@@ -180,8 +185,8 @@ class S3BlobStore:
         try:
             version = self._store.put(key, data, use_multipart=False)["version"]
             same = self._store.get(key).bytes().to_bytes() == data
-            listed = key in {found["path"] for page in self._store.list(f"{TRIAL}/") for found in page}
-            self._store.delete(key)
+            listed = key in {found["path"] for found in self._page(f"{TRIAL}/", None)}
+            whole(lambda: self._store.delete(key))
         except FAILURES as error:
             raise BlobStoreUnusable(self.url, reason_of(error), for_good=is_mistake(error)) from error
         if not (same and listed):
@@ -190,15 +195,19 @@ class S3BlobStore:
 
     def _listed(self, prefix: str | None = None) -> Iterator[tuple[str, datetime]]:
         """Keys with the time of their last change."""
-        with self._asked():
-            pages = iter(self._store.list(prefix, chunk_size=PAGE))
+        after: str | None = None
         while True:
             with self._asked():
-                page = next(pages, None)
-            if page is None:
-                return
+                page = self._page(prefix, after)
             for found in page:
                 yield found["path"], found["last_modified"]
+            if len(page) < PAGE:
+                return
+            after = page[-1]["path"]
+
+    def _page(self, prefix: str | None, after: str | None) -> Sequence[ObjectMeta]:
+        """At most `PAGE` objects whose keys come after one."""
+        return whole(lambda: next(iter(self._store.list(prefix, offset=after, chunk_size=PAGE)), ()))
 
     def _quarantine(self, blob: StoredBlob) -> None:
         """Keep a copy of a damaged blob, which stays until its content is stored again or its last row goes."""

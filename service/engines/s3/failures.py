@@ -3,11 +3,17 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
+from typing import TypeVar
 
 from obstore.exceptions import BaseError
 
 from revisit.core.errors import RevisitError
 from revisit.service.domain.errors import StorageFull, StorageUncertain
+
+T = TypeVar("T")
+
+TRIES = 3
 
 NO_ROOM = frozenset({"507", "QuotaExceeded", "XMinioAdminBucketQuotaExceeded", "XMinioStorageFull"})
 """Codes of servers without room, MinIO's and Ceph's, and the status of HTTP."""
@@ -59,6 +65,17 @@ def is_mistake(error: BaseException) -> bool:
 def is_answer(error: BaseException) -> bool:
     """Whether the server has refused this very call; else it is silent, or too busy to answer anybody."""
     return is_mistake(error) or bool(NO_ROOM.intersection(codes_of(error))) or isinstance(error, FileNotFoundError)
+
+
+def whole(call: Callable[[], T]) -> T:
+    """The result of a call that may be repeated: obstore asks again for everything but an answer that breaks off."""
+    for _ in range(TRIES - 1):
+        try:
+            return call()
+        except FAILURES as error:
+            if "response body" not in str(error):
+                raise
+    return call()
 
 
 def reason_of(error: BaseException) -> str:
