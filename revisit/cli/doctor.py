@@ -82,12 +82,13 @@ def _models() -> str:
 
 
 def _data(home: Path | None, full: bool) -> list[Finding]:
-    from revisit.service.engines.local.sqlite.examination import examine
+    from revisit.service.engines.local.sqlite.examination import examine, examine_bucket
     from revisit.service.settings_loading import load_settings
 
+    bucket = bucket_of(home)
     if load_settings(home).database_url:
-        return [_checked("database", lambda: _server(home))]
-    return examine(data_folder(home), full=full, bucket=bucket_of(home))
+        return [_checked("database", lambda: _server(home)), *examine_bucket(bucket)]
+    return examine(data_folder(home), full=full, bucket=bucket)
 
 
 def _server(home: Path | None) -> str:

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import asyncio
 import hashlib
+import json
 import subprocess
 import sys
 from pathlib import Path
 
 import httpx
 import pytest
+from typer.testing import CliRunner
 
+from revisit.cli.app import app
 from revisit.service.__main__ import main
 from revisit.service.composition import require_bucket
 from revisit.service.domain.errors import StorageUncertain
@@ -211,6 +214,14 @@ def test_doctor_says_what_is_wrong_with_a_bucket_and_that_one_keeps_versions(tmp
     store = S3BlobStore(f"s3://{moto().new_bucket(versions=True)}")
     (told,) = [one for one in examine(tmp_path, full=False, bucket=store) if one.check == "versions of objects"]
     assert told.ok is None and "lifecycle rule" in told.detail
+
+
+def test_doctor_looks_into_the_bucket_beside_a_database_server(bucket, monkeypatch):
+    monkeypatch.setenv("REVISIT_DATABASE_URL", "postgresql://nobody@127.0.0.1:9/nothing")
+    monkeypatch.setenv("REVISIT_BLOB_URL", bucket)
+    ran = CliRunner().invoke(app, ["doctor", "--json", "--http", "http://127.0.0.1:9", "--grpc", "127.0.0.1:9"])
+    found = {one["check"]: one["ok"] for one in json.loads(ran.stdout)}
+    assert (found["database"], found["bucket"]) == (False, True)
 
 
 async def test_a_backup_holds_the_blobs_of_the_bucket_and_is_restored_into_another(world, bucket, tmp_path):

@@ -44,7 +44,7 @@ def examine(home: Path, *, full: bool, bucket: Bucket | None = None) -> list[Fin
     Changes nothing. `full`: read every blob and row.
     """
     database = home / DATABASE
-    findings = [_sqlite_library(), _file_system(home), *(_bucket(bucket) if bucket else ())]
+    findings = [_sqlite_library(), _file_system(home), *examine_bucket(bucket)]
     if findings[-1].ok is False:
         return findings
     if not database.exists():
@@ -94,7 +94,10 @@ def scrub(home: Path, bucket: Bucket | None = None) -> Scrubbed:
     return Scrubbed(len(blobs), tuple(damaged), tuple(missing), str(verdict), wrong)
 
 
-def _bucket(bucket: Bucket) -> Iterator[Finding]:
+def examine_bucket(bucket: Bucket | None) -> Iterator[Finding]:
+    """Check the bucket of the blobs, where they lie in one: an object is stored, read, listed and deleted."""
+    if bucket is None:
+        return
     try:
         keeps_versions = bucket.try_out()
     except BlobStoreUnusable as error:
