@@ -15,7 +15,7 @@ from revisit.service.engines.local.sqlite.connections import write_ahead_log
 from revisit.service.engines.local.sqlite.transactions import StorageFailures
 from revisit.service.engines.state import state_of
 from revisit.service.features.upkeep.chores import Chore
-from revisit.service.features.upkeep.forgetting import forget_answers, forget_events
+from revisit.service.features.upkeep.forgetting import forget_answers, forget_events, forget_workers
 from revisit.service.features.upkeep.gateways import SHOWN_EVERY_S, Gateways
 from revisit.service.features.upkeep.sweeping import collect, sweep
 from revisit.service.settings import Settings
@@ -75,6 +75,7 @@ def _of_store(settings: Settings, context: ServiceContext) -> Iterator[Chore]:
 
     async def forget() -> None:
         await forget_answers(context.storage, context.clock)
+        await forget_workers(context.storage)
 
     async def forget_old_events() -> None:
         await forget_events(context.storage)

@@ -8,6 +8,7 @@ import importlib
 import os
 import secrets
 import signal
+import socket
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
@@ -177,6 +178,12 @@ def page_secret(settings: Settings) -> bytes:
 def build_disk(settings: Settings) -> Disk:
     """The disk of the data with its reserve."""
     return Disk(settings.home, settings.reserve_mb * 2**20, write_ahead_log(settings.database))
+
+
+def supervisor_name(settings: Settings, role: str) -> str:
+    """A name that a supervisor has again after a restart, and no other: of its host, its data folder and its role."""
+    named = f"{role}:{socket.gethostname()}:{settings.home.resolve()}"
+    return hashlib.sha256(named.encode()).hexdigest()[:8]
 
 
 def build_deliveries(settings: Settings, context: ServiceContext) -> Deliveries:

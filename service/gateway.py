@@ -18,7 +18,13 @@ from prometheus_client import ProcessCollector
 
 from revisit.service import VERSION
 from revisit.service.chores import chores
-from revisit.service.composition import build_context, build_tracer, build_use_cases, require_bucket
+from revisit.service.composition import (
+    build_context,
+    build_tracer,
+    build_use_cases,
+    require_bucket,
+    supervisor_name,
+)
 from revisit.service.context import ServiceContext
 from revisit.service.engines.local.files.disk import FailStop
 from revisit.service.engines.state import State
@@ -124,7 +130,8 @@ class _Gateway:
     def _supervisor(self, context: ServiceContext) -> WorkerSupervisor:
         """The supervisor of the workers; the metrics of this process and of them."""
         registry, lease_ms = self._requests.registry, context.policy.lease_ms
-        supervisor = WorkerSupervisor(context.storage, lease_ms, self._settings.workers)
+        name = supervisor_name(self._settings, "gateway")
+        supervisor = WorkerSupervisor(context.storage, lease_ms, self._settings.workers, name)
         registry.register(WorkerMetrics(supervisor))
         ProcessCollector(namespace="revisit", registry=registry)
         return supervisor

@@ -7,7 +7,7 @@ import signal
 
 import structlog
 
-from revisit.service.composition import STOP_SIGNALS, build_context
+from revisit.service.composition import STOP_SIGNALS, build_context, supervisor_name
 from revisit.service.settings import Settings
 from revisit.service.supervised import READY, STOPPING, tell_supervisor
 from revisit.service.worker.supervisor import WorkerSupervisor
@@ -25,7 +25,9 @@ async def _run(settings: Settings) -> int:
     for number in STOP_SIGNALS:
         asyncio.get_running_loop().add_signal_handler(signal.Signals(number), stop.set)
     context = build_context(settings, gateway=False)
-    supervisor = WorkerSupervisor(context.storage, context.policy.lease_ms, settings.workers)
+    name = supervisor_name(settings, "workers")
+    supervisor = WorkerSupervisor(context.storage, context.policy.lease_ms, settings.workers, name)
+    await supervisor.take_over()
     supervisor.start()
     tell_supervisor(READY)
     await stop.wait()

@@ -400,11 +400,11 @@ class JobRecord:
     """A leased job, which clients see as an operation.
 
     Of a tenant's jobs those of `priority` 0, for which a client waits, go before those of 1, and these before those of
-    2, for which nobody does. `lease_token` grows with every claim: only the holder of the newest may complete the job
-    (fencing). Lease times count on the monotonic clock of one boot of the machine, named by `lease_epoch`;
-    `claimed_ms` is when the last run began. `forgiven` of the `attempts` ended for a reason that was none of the job's
-    (docs/decisions/0082). `progress` is JSON (stage, done, total), and `cancel_requested` says that somebody wants it
-    to end. `request_id` and `traceparent` (W3C) name the request that the job came from.
+    2, for which nobody does. `lease_id` is drawn at random for each claim: only the holder of the newest may complete
+    the job (fencing). Lease times are of the store's clock; `claimed_ms` is when the last run began. `forgiven` of the
+    `attempts` ended for a reason that was none of the job's (docs/decisions/0082). `progress` is JSON (stage, done,
+    total), and `cancel_requested` says that somebody wants it to end. `request_id` and `traceparent` (W3C) name the
+    request that the job came from.
     """
 
     tenant: TenantId
@@ -418,8 +418,7 @@ class JobRecord:
     created_at_ns: int
     priority: int = 1
     lease_owner: str | None = None
-    lease_token: int = 0
-    lease_epoch: str = ""
+    lease_id: str = ""
     claimed_ms: int = 0
     not_before_ms: int = 0
     lease_expires_ms: int = 0
@@ -449,19 +448,24 @@ class JobRecord:
 class TurnRecord:
     """How much of the workers' time a tenant has had, milliseconds, on a scale that all tenants share.
 
-    A tenant that had nothing to do begins where the others stand; `started_ms` is where its last job began.
+    A tenant that had nothing to do is lifted to where the others stand; `started_ms` is where its last job began.
     """
 
     tenant: TenantId
     started_ms: int = 0
-    spent_ms: int = 0
+    ran_ms: int = 0
+    lifted_ms: int = 0
+
+    @property
+    def spent_ms(self) -> int:
+        """Where it stands."""
+        return self.ran_ms + self.lifted_ms
 
 
 @dataclass(frozen=True)
 class WorkerRecord:
-    """A worker process and when it last showed itself, on the monotonic clock of `epoch`."""
+    """A worker process and when it last showed itself, by the store's clock."""
 
     worker_id: str
     model_version: str
-    epoch: str
     seen_ms: int

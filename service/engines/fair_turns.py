@@ -2,7 +2,8 @@
 
 A job costs its running time, however it ended. The next job is of the tenant that has had the least time; one that had
 nothing to do is counted from where the others stand, so it saves up no claim (start-time fair queueing, Goyal, Vin and
-Cheng 1996). All of it is kept with the jobs, so a worker that starts again changes nothing.
+Cheng 1996). All of it is kept with the jobs, so a worker that starts again changes nothing: a row a tenant and worker,
+so that no two workers wait for each other's.
 """
 
 from __future__ import annotations
@@ -10,10 +11,14 @@ from __future__ import annotations
 from dataclasses import replace
 
 from revisit.service.domain.identity import TenantId
+from revisit.service.domain.records import TurnRecord
 from revisit.service.ports.job_queue import TenantTurns
 
 ADVANCE_MS = 1000
 """Provisional cost of a claim until its run has ended: so several workers do not all take the same tenant's jobs."""
+
+GONE = ""
+"""Id under which the time of workers is kept that are gone."""
 
 LEAST_MS = 1
 """Least cost of a job: another tenant's turn follows even the quickest one."""
@@ -26,20 +31,24 @@ class FairTurns:
         """Reads and writes `turns` in the transaction of the jobs."""
         self._turns = turns
 
-    def order(self) -> list[TenantId]:
-        """The tenants with unfinished jobs, the next one first."""
+    def order(self) -> list[TurnRecord]:
+        """The tenants with unfinished jobs, the next one first; those behind are lifted to where the last job began."""
         floor_ms = self._turns.latest_start_ms()
         waiting = self._turns.waiting()
         waiting.sort(key=lambda turn: (max(turn.spent_ms, floor_ms), turn.spent_ms, turn.tenant))
-        return [turn.tenant for turn in waiting]
+        return [replace(turn, started_ms=max(turn.spent_ms, floor_ms)) for turn in waiting]
 
-    def begin(self, tenant: TenantId) -> None:
-        """A job of the tenant begins."""
-        turn = self._turns.of(tenant)
-        start_ms = max(turn.spent_ms, self._turns.latest_start_ms())
-        self._turns.keep(replace(turn, started_ms=start_ms, spent_ms=start_ms + ADVANCE_MS))
+    def begin(self, turn: TurnRecord, worker_id: str) -> None:
+        """A worker begins a job of the tenant whose turn `order` says it is."""
+        lifted_ms = turn.started_ms - turn.ran_ms if turn.started_ms > turn.spent_ms else 0
+        self._turns.add(replace(turn, ran_ms=ADVANCE_MS, lifted_ms=lifted_ms), worker_id)
 
-    def end(self, tenant: TenantId, ran_ms: int) -> None:
-        """A job of the tenant has run for `ran_ms`."""
-        turn = self._turns.of(tenant)
-        self._turns.keep(replace(turn, spent_ms=turn.spent_ms - ADVANCE_MS + max(LEAST_MS, ran_ms)))
+    def end(self, tenant: TenantId, worker_id: str | None, ran_ms: int) -> None:
+        """A job of the tenant has run for `ran_ms` on a worker."""
+        self._turns.add(TurnRecord(tenant, ran_ms=max(LEAST_MS, ran_ms) - ADVANCE_MS), worker_id or GONE)
+
+    def forget(self, worker_id: str) -> None:
+        """The worker is gone: its time is kept with that of all who are."""
+        for turn in self._turns.of_worker(worker_id):
+            self._turns.add(turn, GONE)
+        self._turns.forget(worker_id)

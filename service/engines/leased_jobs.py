@@ -1,21 +1,24 @@
 """The job queue: leases, attempts and fencing tokens over the jobs of any store.
 
-A worker leases a job and extends the lease by heartbeats. When a lease runs out, the next worker takes the job with a
-higher fencing token, and later reports of the first one are refused. A job without attempts left is a dead letter.
+A worker leases a job and extends the lease by heartbeats. When a lease runs out, by the clock of the store, the next
+worker takes the job with a lease of its own, and later reports of the first one are refused. A job without attempts
+left is a dead letter.
 """
 
 from __future__ import annotations
 
+import secrets
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, Protocol
 
 from revisit.core.errors import ErrorCode
 from revisit.service.domain.errors import StaleLease
 from revisit.service.domain.identity import TenantId
-from revisit.service.domain.records import JobRecord
+from revisit.service.domain.records import JobRecord, TurnRecord
 from revisit.service.domain.states import OperationState
 from revisit.service.engines.fair_turns import FairTurns
-from revisit.service.ports.clock import Clock, Instant
+from revisit.service.ports.clock import Clock
 from revisit.service.ports.job_queue import Lease
 from revisit.service.ports.repositories import JobRepository
 
@@ -30,64 +33,81 @@ STARTED_AGAIN = "the service was ended"
 
 
 class LeasableJobs(JobRepository, Protocol):
-    """Jobs with their leases, across tenants."""
+    """Jobs with their leases, across tenants. Those to `hold` are nobody else's to change before the transaction ends;
+    such as another transaction holds are passed over.
+    """
 
-    def next_runnable(self, now: Instant, tenant: TenantId) -> JobRecord | None:
+    def next_runnable(self, now_ms: int, tenant: TenantId, *, hold: bool = False) -> JobRecord | None:
         """A job that is queued and due, or has an expired lease and attempts left: the most urgent, then oldest."""
         ...
 
-    def exhausted(self, now: Instant) -> list[JobRecord]:
+    def exhausted(self, now_ms: int, *, hold: bool = False) -> list[JobRecord]:
         """Jobs running on a lease that has run out, with no attempts left."""
         ...
 
     def leased_to(self, owner: str | None) -> list[JobRecord]:
-        """The running jobs of a worker, or of all."""
+        """The running jobs of a worker, or of all, which are held."""
+        ...
+
+    def exchange(self, before: JobRecord, after: JobRecord) -> None:
+        """As `replace`, of a job that this transaction holds."""
         ...
 
 
 class LeasedJobs:
     """`JobQueue` over `LeasableJobs`, inside their transaction."""
 
-    def __init__(self, jobs: LeasableJobs, turns: FairTurns, lease_ms: int, clock: Clock) -> None:
-        """A lease lasts `lease_ms` milliseconds from its start or its last heartbeat; `turns` orders the tenants."""
+    def __init__(
+        self,
+        jobs: LeasableJobs,
+        turns: FairTurns,
+        lease_ms: int,
+        now_ms: Callable[[], int],
+        clock: Clock,
+    ) -> None:
+        """A lease lasts `lease_ms` milliseconds from its start or its last heartbeat; `turns` orders the tenants.
+
+        `now_ms` is the time of the store, which decides; that of `clock` is a label.
+        """
         self._jobs = jobs
-        self._clock = clock
         self._turns = turns
         self._lease_ms = lease_ms
+        self._now_ms = now_ms
+        self._clock = clock
 
     def enqueue(self, job: JobRecord, *, delay_ms: int = 0) -> JobRecord:
         """See `JobQueue`."""
         if delay_ms:
-            now = self._clock.instant()
-            job = replace(job, lease_epoch=now.epoch, not_before_ms=now.ms + delay_ms)
+            now_ms = self._now_ms()
+            job = replace(job, claimed_ms=now_ms, not_before_ms=now_ms + delay_ms)
         return self._jobs.add(job)
 
     def waits(self) -> bool:
         """See `JobQueue`."""
-        now = self._clock.instant()
-        return self._next(now) is not None or bool(self._jobs.exhausted(now))
+        now_ms = self._now_ms()
+        return self._next(now_ms) is not None or bool(self._jobs.exhausted(now_ms))
 
     def claim(self, owner: str) -> Lease | None:
         """See `JobQueue`."""
-        now = self._clock.instant()
-        job = self._next(now)
-        if job is None:
+        now_ms = self._now_ms()
+        found = self._next(now_ms, hold=True)
+        if found is None:
             return None
+        turn, job = found
         if job.state == OperationState.RUNNING:
-            self._turns.end(job.tenant, job.lease_expires_ms - job.claimed_ms)
+            self._turns.end(job.tenant, job.lease_owner, job.lease_expires_ms - job.claimed_ms)
         leased = replace(
             job,
             state=OperationState.RUNNING.value,
             attempts=job.attempts + 1,
             lease_owner=owner,
-            lease_token=job.lease_token + 1,
-            lease_epoch=now.epoch,
-            lease_expires_ms=now.ms + self._lease_ms,
-            claimed_ms=now.ms,
+            lease_id=secrets.token_hex(16),
+            lease_expires_ms=now_ms + self._lease_ms,
+            claimed_ms=now_ms,
             failure_message=None,
         )
-        self._turns.begin(job.tenant)
-        self._jobs.replace(leased)
+        self._turns.begin(turn, owner)
+        self._jobs.exchange(job, leased)
         return Lease(leased)
 
     def require(self, lease: Lease) -> None:
@@ -96,82 +116,79 @@ class LeasedJobs:
 
     def extend(self, lease: Lease) -> None:
         """See `JobQueue`."""
-        job, now = self._held(lease), self._clock.instant()
-        self._jobs.replace(replace(job, lease_epoch=now.epoch, lease_expires_ms=now.ms + self._lease_ms))
+        job = self._held(lease)
+        self._jobs.exchange(job, replace(job, lease_expires_ms=self._now_ms() + self._lease_ms))
 
     def report(self, lease: Lease, progress: dict[str, Any]) -> bool:
         """See `JobQueue`."""
         job = self._held(lease)
-        self._jobs.replace(replace(job, progress=progress))
+        self._jobs.exchange(job, replace(job, progress=progress))
         return not job.cancel_requested
 
     def complete(self, lease: Lease, result: dict[str, Any]) -> None:
         """See `JobQueue`."""
         job = self._held(lease)
-        self._turns.end(job.tenant, _ran_ms(job, self._clock.instant()))
+        self._turns.end(job.tenant, job.lease_owner, self._now_ms() - job.claimed_ms)
         done, ended_ns = OperationState.DONE.value, self._clock.wall_ns()
-        self._jobs.replace(replace(job, state=done, result=result, failure_message=None, finished_at_ns=ended_ns))
+        self._jobs.exchange(job, replace(job, state=done, result=result, failure_message=None, finished_at_ns=ended_ns))
 
     def fail(self, lease: Lease, code: str, message: str, *, retry: bool, innocent: bool = False) -> bool:
         """See `JobQueue`."""
-        held, now = self._held(lease), self._clock.instant()
+        held, now_ms = self._held(lease), self._now_ms()
         job = _forgiven(held) if innocent else held
-        self._turns.end(job.tenant, _ran_ms(job, now))
+        self._turns.end(job.tenant, job.lease_owner, now_ms - job.claimed_ms)
         if retry and job.counted_attempts < job.max_attempts:
-            self._jobs.replace(_queued_again(job, now))
+            self._jobs.exchange(held, _queued_again(job, now_ms))
             return False
-        self._jobs.replace(_failed(job, code, message, self._clock.wall_ns()))
+        self._jobs.exchange(held, _failed(job, code, message, self._clock.wall_ns()))
         return True
 
     def fail_exhausted_jobs(self) -> list[JobRecord]:
         """See `JobQueue`."""
-        now, ended_ns = self._clock.instant(), self._clock.wall_ns()
-        dead = [_failed(job, ErrorCode.INTERNAL, _last_end(job), ended_ns) for job in self._jobs.exhausted(now)]
-        for job in dead:
+        buried, ended_ns = [], self._clock.wall_ns()
+        for job in self._jobs.exhausted(self._now_ms(), hold=True):
             # The runs of a worker that was released were paid for then.
             if job.lease_expires_ms:
-                self._turns.end(job.tenant, job.lease_expires_ms - job.claimed_ms)
-            self._jobs.replace(job)
-        return dead
+                self._turns.end(job.tenant, job.lease_owner, job.lease_expires_ms - job.claimed_ms)
+            buried.append(_failed(job, ErrorCode.INTERNAL, _last_end(job), ended_ns))
+            self._jobs.exchange(job, buried[-1])
+        return buried
 
     def release(self, owner: str, reason: str, *, innocent: bool = False) -> int:
         """See `JobQueue`."""
-        held, now = self._jobs.leased_to(owner), self._clock.instant()
+        held, now_ms = self._jobs.leased_to(owner), self._now_ms()
         for job in held:
-            self._turns.end(job.tenant, _ran_ms(job, now))
+            self._turns.end(job.tenant, owner, now_ms - job.claimed_ms)
             # One that the service forgave at its start is not forgiven twice.
             forgiven = innocent and job.failure_message is None
             ended = replace(_forgiven(job) if forgiven else job, failure_message=reason)
             # A job without attempts left stays RUNNING until `fail_exhausted_jobs`, which marks its subject too.
             spent = ended.counted_attempts >= ended.max_attempts
-            again = ended if spent else _queued_again(ended, now)
-            self._jobs.replace(replace(again, lease_expires_ms=0))
+            again = ended if spent else _queued_again(ended, now_ms)
+            self._jobs.exchange(job, replace(again, lease_expires_ms=0))
+        self._turns.forget(owner)
         return len(held)
 
-    def forgive(self) -> int:
+    def forgive(self, family: str) -> int:
         """See `JobQueue`."""
+        running = [job for job in self._jobs.leased_to(None) if (job.lease_owner or "").startswith(family)]
         # A reason is there where the run was forgiven before, or was the last of a job that is to be buried.
-        under_way = [job for job in self._jobs.leased_to(None) if job.failure_message is None]
+        under_way = [job for job in running if job.failure_message is None]
         for job in under_way:
-            self._jobs.replace(replace(_forgiven(job), failure_message=STARTED_AGAIN))
+            self._jobs.exchange(job, replace(_forgiven(job), failure_message=STARTED_AGAIN))
         return len(under_way)
 
-    def _next(self, now: Instant) -> JobRecord | None:
+    def _next(self, now_ms: int, *, hold: bool = False) -> tuple[TurnRecord, JobRecord] | None:
         """The job that is to run next: the first of the first tenant, in the order of their turns, that has one."""
-        found = (self._jobs.next_runnable(now, tenant) for tenant in self._turns.order())
-        return next((job for job in found if job is not None), None)
+        found = ((turn, self._jobs.next_runnable(now_ms, turn.tenant, hold=hold)) for turn in self._turns.order())
+        return next(((turn, job) for turn, job in found if job is not None), None)
 
     def _held(self, lease: Lease) -> JobRecord:
         """The stored job, if `lease` is still its newest. Raises StaleLease."""
         job = self._jobs.get(lease.job.tenant, lease.job.operation_id, hold=True)
-        if job is None or job.state != OperationState.RUNNING or job.lease_token != lease.job.lease_token:
+        if job is None or job.state != OperationState.RUNNING or job.lease_id != lease.job.lease_id:
             raise StaleLease(f"operation {lease.job.operation_id} is no longer leased to this run")
         return job
-
-
-def _ran_ms(job: JobRecord, now: Instant) -> int:
-    """How long the run under way has lasted; 0 where the machine was started anew since."""
-    return now.ms - job.claimed_ms if job.lease_epoch == now.epoch else 0
 
 
 def _forgiven(job: JobRecord) -> JobRecord:
@@ -179,13 +196,13 @@ def _forgiven(job: JobRecord) -> JobRecord:
     return job if job.forgiven >= MOST_FORGIVEN else replace(job, forgiven=job.forgiven + 1)
 
 
-def _queued_again(job: JobRecord, now: Instant) -> JobRecord:
+def _queued_again(job: JobRecord, now_ms: int) -> JobRecord:
     """Back in the queue after a pause: a job that kills its workers, or takes long in vain, lets others run in between.
 
     The pause grows with the attempts and is no shorter than the run was.
     """
-    later = now.ms + max(RETRY_DELAY_MS * job.attempts, _ran_ms(job, now))
-    return replace(job, state=OperationState.QUEUED.value, lease_epoch=now.epoch, not_before_ms=later)
+    later_ms = now_ms + max(RETRY_DELAY_MS * job.attempts, now_ms - job.claimed_ms)
+    return replace(job, state=OperationState.QUEUED.value, not_before_ms=later_ms)
 
 
 def _last_end(job: JobRecord) -> str:

@@ -2,16 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Protocol
-
-
-@dataclass(frozen=True)
-class Instant:
-    """A moment on the monotonic clock: `ms` counts within one `epoch` (boot); other epochs are always in the past."""
-
-    epoch: str
-    ms: int
 
 
 class Clock(Protocol):
@@ -26,8 +17,4 @@ class Clock(Protocol):
 
     def monotonic_ms(self) -> int:
         """Milliseconds of a clock that is never set."""
-        ...
-
-    def instant(self) -> Instant:
-        """Now, the same for all processes of this machine."""
         ...

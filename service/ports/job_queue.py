@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, Protocol
 
-from revisit.service.domain.identity import TenantId
 from revisit.service.domain.records import JobRecord, TurnRecord, WorkerRecord
 
 CANCELLED = {"outcome": "the operation was cancelled"}
@@ -14,7 +13,7 @@ CANCELLED = {"outcome": "the operation was cancelled"}
 
 @dataclass(frozen=True)
 class Lease:
-    """The right to run a job until it runs out; `job.lease_token` is the fencing token."""
+    """The right to run a job until it runs out; `job.lease_id` is the fencing token."""
 
     job: JobRecord
 
@@ -60,10 +59,10 @@ class LostRuns(Protocol):
         """
         ...
 
-    def forgive(self) -> int:
-        """The service has started again: the runs under way do not count against their jobs, up to a bound; how many.
+    def forgive(self, family: str) -> int:
+        """A gateway has started again: runs under way do not count against their jobs, up to a bound; how many.
 
-        Their leases stay as they are, since a worker that needs no gateway may still finish one.
+        Those of workers of its `family`, by which their ids begin: they end with it. Their leases stay as they are.
         """
         ...
 
@@ -89,22 +88,26 @@ class JobQueue(LeasedRuns, LostRuns, ReportedRuns, Protocol):
 
 
 class TenantTurns(Protocol):
-    """How much of the workers' time each tenant has had."""
+    """How much of the workers' time each tenant has had: a row for each of its workers, summed at reading."""
 
     def waiting(self) -> list[TurnRecord]:
         """Of the tenants with queued or running jobs."""
-        ...
-
-    def of(self, tenant: TenantId) -> TurnRecord:
-        """That of one tenant; zero for one that never had a turn."""
         ...
 
     def latest_start_ms(self) -> int:
         """Where the last job began that was claimed: nobody's time is counted from further back."""
         ...
 
-    def keep(self, turn: TurnRecord) -> None:
-        """Store it."""
+    def of_worker(self, worker_id: str) -> list[TurnRecord]:
+        """What tenants have had of one worker."""
+        ...
+
+    def add(self, turn: TurnRecord, worker_id: str) -> None:
+        """To a worker's row of a tenant: `ran_ms` is added, the later of the other times is kept."""
+        ...
+
+    def forget(self, worker_id: str) -> None:
+        """Delete the rows of a worker."""
         ...
 
 
@@ -117,6 +120,10 @@ class WorkerLog(Protocol):
 
     def alive(self, within_ms: int) -> list[WorkerRecord]:
         """Workers seen within the last `within_ms` milliseconds, last seen first."""
+        ...
+
+    def silent(self, since_ms: int) -> list[str]:
+        """The ids of workers that were not seen for the last `since_ms` milliseconds, and not forgotten."""
         ...
 
     def forget(self, worker_id: str) -> None:

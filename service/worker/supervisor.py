@@ -35,9 +35,10 @@ class WorkerSupervisor:
     `ends` counts how they ended.
     """
 
-    def __init__(self, storage: Storage, lease_ms: int, count: int) -> None:
-        """Leases of a dead worker are released in `storage`."""
+    def __init__(self, storage: Storage, lease_ms: int, count: int, name: str) -> None:
+        """Leases of a dead worker are released in `storage`. The ids of the workers of gateway `name` begin alike."""
         self._storage = storage
+        self._family = f"worker-{name}-"
         self._lease_ms = lease_ms
         self._tasks: list[asyncio.Task[None]] = []
         self._processes: set[Process] = set()
@@ -46,9 +47,9 @@ class WorkerSupervisor:
         self.ends: Counter[WorkerEnd] = Counter(dict.fromkeys(WorkerEnd, 0))
 
     async def take_over(self) -> None:
-        """Forgive the runs that were under way when the gateway before this one ended. Call it before `start`."""
+        """Forgive the runs of this gateway's workers that were under way when it ended. Call it before `start`."""
         try:
-            forgiven = await self._storage.write(lambda uow: uow.queue.forgive())
+            forgiven = await self._storage.write(lambda uow: uow.queue.forgive(self._family))
         except Unavailable as error:
             log.warning("runs_not_forgiven", reason=error.message)
             return
@@ -92,7 +93,7 @@ class WorkerSupervisor:
 
     async def _run_once(self) -> WorkerEnd:
         """Run one worker process to its end, and release its leases; how it ended."""
-        worker_id, killed_before = f"worker-{secrets.token_hex(4)}", out_of_memory_kills()
+        worker_id, killed_before = f"{self._family}{secrets.token_hex(4)}", out_of_memory_kills()
         command = python_subprocess.command(
             "-m", "revisit.service", "worker", "--id", worker_id, "--parent", str(os.getpid())
         )

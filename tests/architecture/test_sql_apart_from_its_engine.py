@@ -31,7 +31,6 @@ from revisit.service.engines.sql import (
 )
 from revisit.service.engines.sql.turns import SqlTenantTurns
 from revisit.service.ports.access import AuditRecord, KeyRecord
-from revisit.service.ports.clock import Instant
 from tests.contract.test_transactions import fill
 from tests.support.plain_engine import HIGHEST, PlainTransactions
 from tests.support.records import TENANT, a_job, a_map, a_submap
@@ -41,11 +40,11 @@ DIALECT = re.compile(
     r"sqlite|postgres|\bdialects?\.|pragma|rowid|insert or|on conflict|savepoint|json_|\bglob\b|exec_driver_sql",
     re.IGNORECASE,
 )
-NOW = Instant("boot", 1)
+NOW_MS = 1
 KEY = KeyRecord(TENANT, "k1", "label", ("read",), "0" * 64, 1, None, None, None)
 ROW = AuditRecord(1, 1, TENANT, "actor", "keys.create", "k1", {}, "", "0" * 64)
 HOOK = WebhookRecord(TENANT, "hook", "hash", "https://example.org", None, (), "secret", "ENABLED", 0, 0, 0, 1)
-KEYED_OTHERWISE = ("workers", "processes", "tenant_turns", "map_counters", "webhook_positions")
+KEYED_OTHERWISE = ("workers", "processes", "worker_turns", "map_counters", "webhook_positions")
 CALLS = {
     "SqlRepository.add": fill,
     "SqlRepository.get": lambda uow: [uow.maps.get(TENANT, "town", hold=hold) for hold in (False, True)],
@@ -77,15 +76,17 @@ CALLS = {
     "SqlSubmaps.first_waiting": lambda uow: uow.submaps.first_waiting(TENANT, "town"),
     "SqlSubmaps.first_unsearched": lambda uow: uow.submaps.first_unsearched(TENANT, "town"),
     "SqlJobs.unfinished": lambda uow: uow.jobs.unfinished(TENANT, {"op-1", "op-2"}),
-    "SqlJobs.next_runnable": lambda uow: (uow.jobs.next_runnable(NOW, TENANT), uow.jobs.add(a_job())),
-    "SqlJobs.exhausted": lambda uow: uow.jobs.exhausted(NOW),
+    "SqlJobs.next_runnable": lambda uow: (uow.jobs.next_runnable(NOW_MS, TENANT, hold=True), uow.jobs.add(a_job())),
+    "SqlJobs.exhausted": lambda uow: uow.jobs.exhausted(NOW_MS, hold=True),
+    "SqlJobs.exchange": lambda uow: uow.jobs.exchange(a_job(), a_job(attempts=2)),
     "SqlJobs.leased_to": lambda uow: uow.jobs.leased_to("worker"),
     "SqlJobs.forget_answers": lambda uow: uow.jobs.forget_answers(5, 10),
     "SqlJobs.waiting": lambda uow: uow.jobs.waiting(),
     "SqlTenantTurns.waiting": lambda uow: SqlTenantTurns(uow.connection).waiting(),
-    "SqlTenantTurns.of": lambda uow: SqlTenantTurns(uow.connection).of(TENANT),
     "SqlTenantTurns.latest_start_ms": lambda uow: SqlTenantTurns(uow.connection).latest_start_ms(),
-    "SqlTenantTurns.keep": lambda uow: SqlTenantTurns(uow.connection).keep(TurnRecord(TENANT, 1, 2)),
+    "SqlTenantTurns.of_worker": lambda uow: SqlTenantTurns(uow.connection).of_worker("w"),
+    "SqlTenantTurns.add": lambda uow: SqlTenantTurns(uow.connection).add(TurnRecord(TENANT, 1, 2), "w"),
+    "SqlTenantTurns.forget": lambda uow: SqlTenantTurns(uow.connection).forget("w"),
     "SqlBlobRows.release": lambda uow: uow.blobs.release(TENANT, {("cloud", "f" * 64)}),
     "SqlBlobRows.strays": lambda uow: uow.blobs.strays(TENANT, {("cloud", "f" * 64)}),
     "SqlBlobRows.begin": lambda uow: uow.blobs.end(uow.blobs.begin(0, 5), [1]),
@@ -109,6 +110,7 @@ CALLS = {
     "SqlWebhooks.delete": lambda uow: uow.webhooks.delete(TENANT, webhook_id="hook"),
     "SqlWorkerLog.beat": lambda uow: uow.workers.beat("w", "v"),
     "SqlWorkerLog.alive": lambda uow: uow.workers.alive(0),
+    "SqlWorkerLog.silent": lambda uow: uow.workers.silent(0),
     "SqlWorkerLog.forget": lambda uow: uow.workers.forget("w"),
     "SqlKeyRing.add": lambda uow: uow.keys.add(KEY),
     "SqlKeyRing.get": lambda uow: uow.keys.get("k1"),

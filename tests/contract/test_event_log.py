@@ -8,11 +8,9 @@ import pytest
 
 from revisit.service.domain.events import EventRecord, map_of
 from revisit.service.domain.identity import TenantId
-from revisit.service.ports.clock import Instant
 from tests.support.records import TENANT, a_job, a_loop, a_map, a_session, a_submap
 
 OTHER = TenantId("other")
-NOW = Instant("boot", 1_000)
 
 
 @pytest.fixture(autouse=True)

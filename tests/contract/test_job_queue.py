@@ -16,16 +16,16 @@ LEASE_MS = 10_000
 
 @pytest.fixture
 def queue(write, clock):
-    def at(ms, epoch="boot"):
-        clock.epoch, clock.ms, clock.day_ns = epoch, ms, 7
+    def at(ms):
+        clock.ms, clock.day_ns = ms, 7
 
     class Queue:
         def enqueue(self, *ids, **fields):
             for operation_id in ids:
                 write(lambda uow, operation_id=operation_id: uow.queue.enqueue(a_job(operation_id, **fields)))
 
-        def claim(self, ms=0, owner="w1", epoch="boot"):
-            at(ms, epoch)
+        def claim(self, ms=0, owner="w1"):
+            at(ms)
             return write(lambda uow: uow.queue.claim(owner))
 
         def fail(self, lease, ms=0, retry=True, innocent=False):
@@ -41,8 +41,8 @@ def queue(write, clock):
             at(ms)
             return write(lambda uow: uow.queue.release(owner, why.pop("reason", "it fell over"), **why))
 
-        def forgive(self):
-            return write(lambda uow: uow.queue.forgive())
+        def forgive(self, family="w"):
+            return write(lambda uow: uow.queue.forgive(family))
 
         def extend(self, lease, ms):
             at(ms)
@@ -221,10 +221,21 @@ def test_a_refused_result_undoes_what_came_with_it(queue, write, read):
     assert stored(read, "effect") is None
 
 
-def test_leases_of_another_boot_have_run_out(queue):
+def test_a_claim_that_a_crash_undid_leaves_no_lease_that_is_given_out_again(queue, write):
     queue.enqueue("op-1")
-    queue.claim(ms=5_000_000, epoch="boot")
-    assert queue.claim(ms=0, epoch="next boot").job.attempts == 2
+    undone = []
+
+    def crash(uow):
+        undone.append(uow.queue.claim("w1"))
+        raise ConnectionError("the host is gone")
+
+    with pytest.raises(ConnectionError):
+        write(crash)
+    lease = queue.claim(owner="w2")
+    assert (lease.job.attempts, undone[0].job.attempts) == (1, 1)
+    with pytest.raises(StaleLease):
+        queue.complete(undone[0])
+    queue.complete(lease)
 
 
 def test_a_failed_run_goes_back_after_a_pause_until_the_attempts_are_used_up(queue, read):
@@ -335,6 +346,27 @@ def test_a_run_that_was_forgiven_can_still_end_well(queue, read):
     queue.forgive()
     queue.complete(lease)
     assert (stored(read).state, stored(read).failure_message) == ("DONE", None)
+
+
+def test_a_gateway_that_starts_forgives_its_own_workers_only(queue, read):
+    queue.enqueue("op-1", "op-2")
+    queue.claim(owner="worker-here-1")
+    queue.claim(owner="worker-there-1")
+    assert queue.forgive("worker-here-") == 1
+    assert [stored(read, operation_id).forgiven for operation_id in ("op-1", "op-2")] == [1, 0]
+
+
+def test_the_time_of_a_tenant_is_that_of_all_workers_and_outlives_them(queue):
+    queue.enqueue(*(f"a{number}" for number in range(4)), tenant="anna")
+    leases = [queue.claim(0, owner=f"w{number}") for number in range(3)]
+    for number, lease in enumerate(leases):
+        queue.complete(lease, 20_000)
+        queue.release(f"w{number}", 20_000)
+    queue.enqueue(*(f"b{number}" for number in range(5)), tenant="bert")
+    for number in range(5):  # until Bert has had as much: he was lifted to where Anna's last job began
+        lease = queue.claim(20_000 + number * 10_000, owner="w9")
+        assert lease.job.operation_id == f"b{number}"
+        queue.complete(lease, 30_000 + number * 10_000)
 
 
 def test_what_was_given_up_is_not_forgiven(queue, read):

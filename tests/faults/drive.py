@@ -146,7 +146,7 @@ def undisturbed(home: Path, log: Path, boot: str = "boot-1") -> None:
     """A drive from its beginning to its end over the store in `home`; what happened is appended to `log`."""
     migrate(home / "revisit.db")
     world = sqlite_world(home)
-    world.clock.epoch = boot
+    world.clock.boot_id = boot
     try:
         asyncio.run(drive(world, History(log)))
     finally:

@@ -104,7 +104,7 @@ def _without_constraint(create_all, name):
 def _newest_lease(held):
     def taken(queue, lease):
         job = queue._jobs.get(lease.job.tenant, lease.job.operation_id)
-        return held(queue, replace(lease, job=replace(lease.job, lease_token=job.lease_token)))
+        return held(queue, replace(lease, job=replace(lease.job, lease_id=job.lease_id)))
 
     return taken
 
@@ -565,7 +565,7 @@ SABOTAGES = (
     ),
     Sabotage(
         "a run that was cut short counts",
-        {f"{ENGINES}leased_jobs:LeasedJobs.forgive": lambda _forgive: lambda _queue: 0},
+        {f"{ENGINES}leased_jobs:LeasedJobs.forgive": lambda _forgive: lambda _queue, _family: 0},
         f"{QUEUE}test_a_service_that_starts_again_forgives_the_runs_that_were_under_way_once",
     ),
     Sabotage(

@@ -74,7 +74,7 @@ def test_the_migrations_make_what_the_tables_cannot_say(database):
     made = dict(connection.execute("SELECT name, sql FROM sqlite_master WHERE sql IS NOT NULL"))
     connection.close()
     keyed_by_text = {table.name for table in tables.metadata.sorted_tables if "AUTOINCREMENT" not in made[table.name]}
-    assert keyed_by_text == {"workers", "processes", "tenant_turns", "map_counters", "webhook_positions"}
+    assert keyed_by_text == {"workers", "processes", "worker_turns", "map_counters", "webhook_positions"}
     indexes = [index for table in tables.metadata.sorted_tables for index in table.indexes]
     wanted = {index.name: index.info.get("where") for index in indexes}
     assert {name: made[name].partition(" WHERE ")[2] or None for name in wanted} == wanted

@@ -4,14 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from revisit.service.ports.clock import Instant
-
 
 @dataclass
 class SteppedClock:
     """`MachineClock`; the time of day follows `ms` unless `day_ns` says it."""
 
-    epoch: str = "boot-1"
+    boot_id: str = "boot-1"
     ms: int = 1_000_000
     day_ns: int | None = None
 
@@ -19,15 +17,6 @@ class SteppedClock:
         """See `Clock`."""
         return 1_700_000_000_000_000_000 + self.ms * 1_000_000 if self.day_ns is None else self.day_ns
 
-    @property
-    def boot_id(self) -> str:
-        """See `MachineClock`."""
-        return self.epoch
-
     def monotonic_ms(self) -> int:
         """See `Clock`."""
         return self.ms
-
-    def instant(self) -> Instant:
-        """See `Clock`."""
-        return Instant(self.epoch, self.ms)

@@ -6,7 +6,7 @@ import time
 from pathlib import Path
 from typing import Protocol
 
-from revisit.service.ports.clock import Clock, Instant
+from revisit.service.ports.clock import Clock
 
 _BOOT_ID = Path("/proc/sys/kernel/random/boot_id")
 
@@ -34,7 +34,3 @@ class SystemClock:
     def monotonic_ms(self) -> int:
         """See `Clock`."""
         return time.monotonic_ns() // 1_000_000
-
-    def instant(self) -> Instant:
-        """See `Clock`."""
-        return Instant(self.boot_id, self.monotonic_ms())

@@ -6,7 +6,7 @@ any more. Who names the blob and who collects it change that row: the second of 
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Callable, Collection
 from functools import cache
 from typing import Any
 
@@ -17,7 +17,6 @@ from revisit.service.domain.errors import BlobCollected
 from revisit.service.domain.identity import TenantId
 from revisit.service.domain.states import BlobState
 from revisit.service.engines.sql.blob_addresses import NAMED_BY_NO_ROW, REFERENCES
-from revisit.service.engines.sql.engine import DatabaseEngine
 from revisit.service.engines.sql.tables import unreferenced_blobs
 from revisit.service.ports.blobs import MOST_MS, REMEMBERED_MS, Blob, BlobCollection, StoredBlob
 
@@ -30,10 +29,10 @@ _rows = unreferenced_blobs.c
 class SqlBlobRows:
     """`BlobRows`."""
 
-    def __init__(self, connection: Connection, engine: DatabaseEngine) -> None:
-        """All statements go through `connection`, a connection of `engine`."""
+    def __init__(self, connection: Connection, now_ms: Callable[[], int]) -> None:
+        """All statements go through `connection`; `now_ms` is the time of the store."""
         self._connection = connection
-        self._engine = engine
+        self._now_ms = now_ms
         self._put_again: frozenset[int] = frozenset()
 
     def refer(self, tenant: TenantId, blobs: Collection[Blob]) -> None:
@@ -54,7 +53,7 @@ class SqlBlobRows:
         mine = and_(_rows.tenant == tenant, _rows.sha256.in_([sha256 for _, sha256 in blobs]))
         # The time counts anew: a blob that another row named until now may have been waiting for long.
         self._connection.execute(delete(unreferenced_blobs).where(mine, _rows.state == BlobState.UNREFERENCED.value))
-        fresh = {"state": BlobState.UNREFERENCED.value, "since_ms": self._engine.now_ms(self._connection)}
+        fresh = {"state": BlobState.UNREFERENCED.value, "since_ms": self._now_ms()}
         rows = [{"tenant": tenant, "kind": kind, "sha256": sha256, **fresh} for kind, sha256 in sorted(blobs)]
         self._connection.execute(insert(unreferenced_blobs), rows)
 
@@ -71,7 +70,7 @@ class SqlBlobRows:
 
     def begin(self, unreferenced_ms: int, limit: int) -> BlobCollection:
         """See `BlobCollections`."""
-        now_ms = self._engine.now_ms(self._connection)
+        now_ms = self._now_ms()
         self._forget(and_(_rows.state == BlobState.GONE.value, _rows.since_ms <= now_ms - REMEMBERED_MS))
         due = {"unreferenced_ms": now_ms - unreferenced_ms, "cut_off_ms": now_ms - CUT_OFF_MS}
         numbers = list(self._connection.execute(_due(), {**due, "at_most": limit}).scalars())
@@ -85,7 +84,7 @@ class SqlBlobRows:
     def end(self, collection: BlobCollection, numbers: Collection[int]) -> None:
         """See `BlobCollections`."""
         own = and_(_rows.state == BlobState.COLLECTED.value, _rows.since_ms == collection.begun_ms)
-        gone = {"state": BlobState.GONE.value, "since_ms": self._engine.now_ms(self._connection)}
+        gone = {"state": BlobState.GONE.value, "since_ms": self._now_ms()}
         ended = changed(unreferenced_blobs).where(own, _rows.number.in_(list(numbers)))
         self._connection.execute(ended.values(gone))
 

@@ -12,19 +12,18 @@ from revisit.service.domain.identity import TenantId
 from revisit.service.domain.records import JobRecord
 from revisit.service.domain.states import OperationState
 from revisit.service.engines.sql import tables
-from revisit.service.engines.sql.repositories import SqlRepository
-from revisit.service.ports.clock import Instant
+from revisit.service.engines.sql.repositories import SqlRepository, changed_row, column_values
 from revisit.service.ports.repositories import Waiting
 
 
 class SqlJobs(SqlRepository[JobRecord]):
     """`JobRepository`."""
 
-    def next_runnable(self, now: Instant, tenant: TenantId) -> JobRecord | None:
+    def next_runnable(self, now_ms: int, tenant: TenantId, *, hold: bool = False) -> JobRecord | None:
         """See `LeasableJobs`."""
-        asked = {**_moment(now), "tenant": tenant}
+        asked = {"now_ms": now_ms, "tenant": tenant}
         # One query per state: each walks the index of its state, however many jobs have finished.
-        rows = [self._connection.execute(_runnable(lost), asked).first() for lost in (False, True)]
+        rows = [self._connection.execute(_runnable(lost, hold), asked).first() for lost in (False, True)]
         first = [self._of(row) for row in rows if row is not None]
         return min(first, key=lambda job: (job.priority, job.number), default=None)
 
@@ -35,16 +34,26 @@ class SqlJobs(SqlRepository[JobRecord]):
         its = and_(jobs.tenant == tenant, jobs.operation_id.in_(operation_ids), going_on)
         return frozenset(self._connection.execute(select(jobs.operation_id).where(its)).scalars())
 
-    def exhausted(self, now: Instant) -> list[JobRecord]:
+    def exhausted(self, now_ms: int, *, hold: bool = False) -> list[JobRecord]:
         """See `LeasableJobs`."""
-        return [self._of(row) for row in self._connection.execute(_exhausted(), _moment(now))]
+        return [self._of(row) for row in self._connection.execute(_exhausted(hold), {"now_ms": now_ms})]
 
     def leased_to(self, owner: str | None) -> list[JobRecord]:
         """See `LeasableJobs`."""
         query = select(tables.jobs).where(tables.jobs.c.state == OperationState.RUNNING.value)
         if owner is not None:
             query = query.where(tables.jobs.c.lease_owner == owner)
-        return [self._of(row) for row in self._connection.execute(query)]
+        return [self._of(row) for row in self._connection.execute(query.with_for_update())]
+
+    def exchange(self, before: JobRecord, after: JobRecord) -> None:
+        """See `LeasableJobs`: only what differs is written."""
+        old, new = column_values(before), column_values(after)
+        changes = {name: value for name, value in new.items() if value != old[name]}
+        if changes:
+            which = {"its_number": before.number, "its_tenant": before.tenant}
+            self._connection.execute(changed_row(self._table), {**changes, **which})
+        if self._on_change is not None:
+            self._on_change(before, after)
 
     def forget_answers(self, before_ns: int, limit: int) -> int:
         """See `JobRepository`."""
@@ -67,21 +76,25 @@ class SqlJobs(SqlRepository[JobRecord]):
 
 
 @cache
-def _runnable(lost: bool) -> Select[Any]:
-    """The next queued job of a tenant, or the next with a `lost` lease. Takes `_moment` and `tenant`."""
+def _runnable(lost: bool, hold: bool) -> Select[Any]:
+    """The next queued job of a tenant, or the next with a `lost` lease. Takes `now_ms` and `tenant`.
+
+    Where it is to be held, one that another transaction holds is passed over.
+    """
     jobs = tables.jobs.c
-    due = or_(jobs.lease_epoch != bindparam("epoch"), jobs.not_before_ms <= bindparam("now_ms"))
-    ready = (
-        and_(_lost(), _counted() < jobs.max_attempts) if lost else and_(jobs.state == OperationState.QUEUED.value, due)
-    )
+    due = and_(jobs.state == OperationState.QUEUED.value, jobs.not_before_ms <= bindparam("now_ms"))
+    ready = and_(_lost(), _counted() < jobs.max_attempts) if lost else due
     own = jobs.tenant == bindparam("tenant")
-    return select(tables.jobs).where(ready, own).order_by(jobs.priority, jobs.number).limit(1)
+    first = select(tables.jobs).where(ready, own).order_by(jobs.priority, jobs.number).limit(1)
+    return first.with_for_update(skip_locked=True) if hold else first
 
 
 @cache
-def _exhausted() -> Select[Any]:
-    """The jobs with their last allowed lease lost. Takes `_moment`."""
-    return select(tables.jobs).where(_lost(), _counted() >= tables.jobs.c.max_attempts)
+def _exhausted(hold: bool) -> Select[Any]:
+    """The jobs with their last allowed lease lost. Takes `now_ms`."""
+    spent = _counted() >= tables.jobs.c.max_attempts
+    dead = select(tables.jobs).where(_lost(), spent)
+    return dead.with_for_update(skip_locked=True) if hold else dead
 
 
 def _counted() -> ColumnElement[int]:
@@ -90,9 +103,4 @@ def _counted() -> ColumnElement[int]:
 
 def _lost() -> ColumnElement[bool]:
     jobs = tables.jobs.c
-    expired = or_(jobs.lease_epoch != bindparam("epoch"), jobs.lease_expires_ms <= bindparam("now_ms"))
-    return and_(jobs.state == OperationState.RUNNING.value, expired)
-
-
-def _moment(now: Instant) -> dict[str, Any]:
-    return {"epoch": now.epoch, "now_ms": now.ms}
+    return and_(jobs.state == OperationState.RUNNING.value, jobs.lease_expires_ms <= bindparam("now_ms"))

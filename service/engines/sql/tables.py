@@ -386,8 +386,7 @@ jobs = _numbered(
     _integer("created_at_ns"),
     _integer("priority"),
     _text("lease_owner", nullable=True),
-    _integer("lease_token"),
-    _text("lease_epoch"),
+    Column("lease_id", String(32), nullable=False, server_default=""),
     Column("claimed_ms", BigInteger, nullable=False, server_default="0"),
     _integer("not_before_ms"),
     _integer("lease_expires_ms"),
@@ -503,7 +502,6 @@ workers = Table(
     metadata,
     Column("worker_id", String(64), primary_key=True),
     Column("model_version", String(128), nullable=False),
-    Column("epoch", String(64), nullable=False),
     Column("seen_ms", BigInteger, nullable=False),
 )
 
@@ -518,10 +516,13 @@ processes = Table(
     Column("seen_ms", BigInteger, nullable=False),
 )
 
-tenant_turns = Table(
-    "tenant_turns",
+worker_turns = Table(
+    "worker_turns",
     metadata,
     Column("tenant", String(64), primary_key=True),
+    Column("worker_id", String(64), primary_key=True),
     Column("started_ms", BigInteger, nullable=False),
-    Column("spent_ms", BigInteger, nullable=False),
+    Column("ran_ms", BigInteger, nullable=False),
+    Column("lifted_ms", BigInteger, nullable=False),
+    Index(None, "started_ms"),
 )

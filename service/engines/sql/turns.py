@@ -5,13 +5,28 @@ from __future__ import annotations
 from functools import cache
 from typing import Any
 
-from sqlalchemy import Connection, Select, Update, bindparam, func, insert, select, update
+from sqlalchemy import (
+    Column,
+    ColumnElement,
+    Connection,
+    Select,
+    Update,
+    bindparam,
+    case,
+    delete,
+    func,
+    insert,
+    select,
+    update,
+)
 
 from revisit.service.domain.identity import TenantId
 from revisit.service.domain.records import TurnRecord
 from revisit.service.domain.states import OperationState
 from revisit.service.engines.sql import tables
 from revisit.service.engines.sql.repositories import column_values
+
+_turns = tables.worker_turns.c
 
 
 class SqlTenantTurns:
@@ -26,24 +41,34 @@ class SqlTenantTurns:
         # One query per state: each walks an index that holds all it needs.
         states = (OperationState.QUEUED, OperationState.RUNNING)
         found = {row[0] for state in states for row in self._connection.execute(_at_work(), {"state": state.value})}
-        return [self.of(tenant) for tenant in sorted(found)]
-
-    def of(self, tenant: TenantId) -> TurnRecord:
-        """See `TenantTurns`."""
-        row = self._connection.execute(_turn(), {"tenant": tenant}).first()
-        return TurnRecord(tenant) if row is None else TurnRecord(**row._mapping)
+        return [self._of(tenant) for tenant in sorted(found)]
 
     def latest_start_ms(self) -> int:
         """See `TenantTurns`."""
         return int(self._connection.execute(_latest_start()).scalar() or 0)
 
-    def keep(self, turn: TurnRecord) -> None:
+    def of_worker(self, worker_id: str) -> list[TurnRecord]:
         """See `TenantTurns`."""
-        # No upsert, which is not standard SQL: the transaction holds the lock of the writers.
-        row = column_values(turn)
-        times = {name: value for name, value in row.items() if name != "tenant"}
-        if self._connection.execute(_of_tenant(), {"its_tenant": turn.tenant, **times}).rowcount == 0:
-            self._connection.execute(insert(tables.tenant_turns), row)
+        rows = self._connection.execute(_rows().where(_turns.worker_id == worker_id))
+        return [TurnRecord(**row._mapping) for row in rows]
+
+    def add(self, turn: TurnRecord, worker_id: str) -> None:
+        """See `TenantTurns`."""
+        # No upsert, which is not standard SQL: a worker alone adds to its rows.
+        row = {**column_values(turn), "worker_id": worker_id}
+        its = {"its_tenant": row["tenant"], "its_worker": worker_id}
+        added = {f"more_{name}": row[name] for name in ("ran_ms", "lifted_ms", "started_ms")}
+        if self._connection.execute(_added(), {**its, **added}).rowcount == 0:
+            self._connection.execute(insert(tables.worker_turns), row)
+
+    def forget(self, worker_id: str) -> None:
+        """See `TenantTurns`."""
+        self._connection.execute(delete(tables.worker_turns).where(_turns.worker_id == worker_id))
+
+    def _of(self, tenant: TenantId) -> TurnRecord:
+        """What a tenant has had of all workers."""
+        started_ms, ran_ms, lifted_ms = self._connection.execute(_sum(), {"tenant": tenant}).one()
+        return TurnRecord(tenant, started_ms or 0, ran_ms or 0, lifted_ms or 0)
 
 
 @cache
@@ -53,15 +78,30 @@ def _at_work() -> Select[Any]:
 
 @cache
 def _latest_start() -> Select[Any]:
-    return select(func.max(tables.tenant_turns.c.started_ms))
+    return select(func.max(_turns.started_ms))
 
 
 @cache
-def _of_tenant() -> Update:
-    """Overwrites the turn of tenant `its_tenant`."""
-    return update(tables.tenant_turns).where(tables.tenant_turns.c.tenant == bindparam("its_tenant"))
+def _rows() -> Select[Any]:
+    return select(_turns.tenant, _turns.started_ms, _turns.ran_ms, _turns.lifted_ms)
 
 
 @cache
-def _turn() -> Select[Any]:
-    return select(tables.tenant_turns).where(tables.tenant_turns.c.tenant == bindparam("tenant"))
+def _sum() -> Select[Any]:
+    sums = (func.max(_turns.started_ms), func.sum(_turns.ran_ms), func.max(_turns.lifted_ms))
+    return select(*sums).where(_turns.tenant == bindparam("tenant"))
+
+
+@cache
+def _added() -> Update:
+    """Adds `more_ran_ms` to the row of `its_tenant` and `its_worker`; keeps the later of the other times."""
+    of_worker = update(tables.worker_turns).where(
+        _turns.tenant == bindparam("its_tenant"), _turns.worker_id == bindparam("its_worker")
+    )
+    ran_ms = _turns.ran_ms + bindparam("more_ran_ms")
+    return of_worker.values(ran_ms=ran_ms, lifted_ms=_later(_turns.lifted_ms), started_ms=_later(_turns.started_ms))
+
+
+def _later(column: Column[int]) -> ColumnElement[int]:
+    more = bindparam(f"more_{column.name}", type_=column.type)
+    return case((column < more, more), else_=column)

@@ -89,7 +89,9 @@ def stored(
 
 @dataclass(frozen=True)
 class SqlUnitOfWork:
-    """`UnitOfWork` over a connection in one transaction. A lease lasts `lease_ms` milliseconds of `clock`."""
+    """`UnitOfWork` over a connection in one transaction. A lease lasts `lease_ms` milliseconds of the store's clock;
+    `clock` gives labels.
+    """
 
     connection: Connection
     engine: DatabaseEngine
@@ -138,15 +140,24 @@ class SqlUnitOfWork:
         """The same transaction, with rows under deletion visible, too."""
         return replace(self, sees_all=True)
 
+    def now_ms(self) -> int:
+        """The time of the store, as it was when this transaction first asked for it."""
+        return self._now_ms
+
+    @cached_property
+    def _now_ms(self) -> int:
+        return self.engine.now_ms(self.connection)
+
     @cached_property
     def queue(self) -> LeasedJobs:
         """The job queue in this transaction."""
-        return LeasedJobs(self.jobs, FairTurns(SqlTenantTurns(self.connection)), self.lease_ms, self.clock)
+        turns = FairTurns(SqlTenantTurns(self.connection))
+        return LeasedJobs(self.jobs, turns, self.lease_ms, self.now_ms, self.clock)
 
     @cached_property
     def blobs(self) -> SqlBlobRows:
         """References to blobs and their collection."""
-        return SqlBlobRows(self.connection, self.engine)
+        return SqlBlobRows(self.connection, self.now_ms)
 
     @cached_property
     def changes(self) -> SqlChangeLog:
@@ -161,7 +172,7 @@ class SqlUnitOfWork:
     @cached_property
     def workers(self) -> SqlWorkerLog:
         """The living workers."""
-        return SqlWorkerLog(self.connection, self.clock)
+        return SqlWorkerLog(self.connection, self.now_ms)
 
     @cached_property
     def processes(self) -> SqlProcessLog:

@@ -2,36 +2,42 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 from sqlalchemy import Connection, delete, insert, select
 
 from revisit.service.domain.records import WorkerRecord
 from revisit.service.engines.sql import tables
 from revisit.service.engines.sql.repositories import column_values
-from revisit.service.ports.clock import Clock
 
 
 class SqlWorkerLog:
     """`WorkerLog`."""
 
-    def __init__(self, connection: Connection, clock: Clock) -> None:
-        """All statements go through `connection`; `clock` is that of the store."""
+    def __init__(self, connection: Connection, now_ms: Callable[[], int]) -> None:
+        """All statements go through `connection`; `now_ms` is the time of the store."""
         self._connection = connection
-        self._clock = clock
+        self._now_ms = now_ms
 
     def beat(self, worker_id: str, model_version: str) -> None:
         """See `WorkerLog`."""
-        now = self._clock.instant()
-        worker = WorkerRecord(worker_id, model_version, now.epoch, now.ms)
+        worker = WorkerRecord(worker_id, model_version, self._now_ms())
         # No upsert, which is not standard SQL: a worker alone writes its row.
         self.forget(worker_id)
         self._connection.execute(insert(tables.workers).values(column_values(worker)))
 
     def alive(self, within_ms: int) -> list[WorkerRecord]:
         """See `WorkerLog`."""
-        workers, now = tables.workers.c, self._clock.instant()
-        query = select(tables.workers).where(workers.epoch == now.epoch, workers.seen_ms >= now.ms - within_ms)
+        workers = tables.workers.c
+        query = select(tables.workers).where(workers.seen_ms >= self._now_ms() - within_ms)
         rows = self._connection.execute(query.order_by(workers.seen_ms.desc(), workers.worker_id))
         return [WorkerRecord(**row._mapping) for row in rows]
+
+    def silent(self, since_ms: int) -> list[str]:
+        """See `WorkerLog`."""
+        workers = tables.workers.c
+        query = select(workers.worker_id).where(workers.seen_ms < self._now_ms() - since_ms)
+        return list(self._connection.execute(query).scalars())
 
     def forget(self, worker_id: str) -> None:
         """See `WorkerLog`."""

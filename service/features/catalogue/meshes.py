@@ -35,9 +35,7 @@ class SubmapMeshes:
             discard(self._context.storage.blobs, StoredBlob(tenant, MESH_BLOB, result["sha256"]))
 
         payload = {**asdict(key), "format": extension}
-        made = await self._answers.answer(
-            tenant, OperationKind.MAKE_MESH, key.name, payload, limits.TILE_WAIT_S, drop
-        )
+        made = await self._answers.answer(tenant, OperationKind.MAKE_MESH, key.name, payload, limits.TILE_WAIT_S, drop)
         try:
             await room(int(made["bytes"]))
             blob = await asyncio.to_thread(self._context.storage.blobs.get, tenant, MESH_BLOB, made["sha256"])

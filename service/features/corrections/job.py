@@ -112,17 +112,17 @@ class EarlyCorrections:
         """
         if not self._policy.optimise_after_loops:
             return
-        began_ms = self._clock.instant().ms
+        began_ms = self._clock.monotonic_ms()
         try:
             self._update(tenant, map_id)
         except Exception:  # the job that found the loop has ended well
             log.exception("early_correction_failed", map=map_id)
             self._held = None
-        ended_ms = self._clock.instant().ms
+        ended_ms = self._clock.monotonic_ms()
         self._rest_until_ms = max(self._rest_until_ms, ended_ms + round((ended_ms - began_ms) * (1.0 / SHARE - 1.0)))
 
     def _update(self, tenant: TenantId, map_id: str) -> None:
-        rests = self._clock.instant().ms < self._rest_until_ms
+        rests = self._clock.monotonic_ms() < self._rest_until_ms
         read = partial(_news, policy=self._policy, tenant=tenant, map_id=map_id, held=self._held, rests=rests)
         news = self._transactions.read(read).result()
         if news is None:

@@ -79,7 +79,7 @@ class Access:
         self._clock = clock
         self._rules = rules
         self._pace = pace
-        self._failed = FailedAttempts(lambda: clock.instant().ms / 1000)
+        self._failed = FailedAttempts(lambda: clock.monotonic_ms() / 1000)
         self._keys = KnownKeys(storage)
 
     async def admit_call(

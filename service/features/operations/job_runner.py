@@ -38,7 +38,7 @@ class JobRunner:
             self._jobs[OperationKind(lease.job.kind)](lease)
             failpoint("job.after_commit")
         except StaleLease:
-            log.warning("result_refused", operation=lease.job.operation_id, token=lease.job.lease_token)
+            log.warning("result_refused", operation=lease.job.operation_id, lease=lease.job.lease_id)
         except RevisitError as error:
             # A store that is full, or does not answer, says nothing about the job.
             of_storage = isinstance(error, Unavailable | StorageFull)
@@ -63,7 +63,7 @@ class JobRunner:
         try:
             self._context.transactions.write(end).result()
         except StaleLease:
-            log.warning("failure_refused", operation=lease.job.operation_id, token=lease.job.lease_token)
+            log.warning("failure_refused", operation=lease.job.operation_id, lease=lease.job.lease_id)
 
     def _store_failure(
         self, uow: UnitOfWork, lease: Lease, code: ErrorCode, message: str, *, retry: bool, innocent: bool

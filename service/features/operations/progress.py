@@ -30,7 +30,7 @@ class Progress:
 
     def __call__(self, stage: str, done: int = 0, total: int = 1) -> None:
         """`done` of `total` parts of a stage. Raises OperationCancelled, StaleLease."""
-        now_ms = self._clock.instant().ms
+        now_ms = self._clock.monotonic_ms()
         if stage == self._stage and now_ms < self._reported_ms + REPORT_EVERY_MS:
             return
         self._stage, self._reported_ms = stage, now_ms

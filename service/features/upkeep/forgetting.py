@@ -19,6 +19,9 @@ ANSWERS_KEPT_S = 24 * 3600.0
 EVENTS_KEPT = 50_000
 """Events of a tenant that are kept for watchers that were away: about four for each submap."""
 
+WORKERS_KEPT_S = 3600.0
+"""For so long a worker is remembered that was killed, and was no gateway's to watch."""
+
 log = structlog.get_logger(__name__)
 
 
@@ -34,6 +37,19 @@ async def forget_answers(storage: Storage, clock: Clock, kept_s: float = ANSWERS
 
 def _forget(uow: UnitOfWork, before_ns: int) -> int:
     return uow.jobs.forget_answers(before_ns, PORTION)
+
+
+async def forget_workers(storage: Storage, silent_s: float = WORKERS_KEPT_S) -> int:
+    """Forget workers that have not shown themselves for so long, and that nobody has ended; how many."""
+    silent = await storage.read(lambda uow: uow.workers.silent(int(1000 * silent_s)))
+    for worker_id in silent:
+        await storage.write(partial(_forget_worker, worker_id=worker_id))
+    return len(silent)
+
+
+def _forget_worker(uow: UnitOfWork, worker_id: str) -> None:
+    uow.workers.forget(worker_id)
+    uow.queue.release(worker_id, "its worker went silent")
 
 
 async def forget_events(storage: Storage, kept: int = EVENTS_KEPT) -> int:

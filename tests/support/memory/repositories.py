@@ -24,7 +24,7 @@ from revisit.service.domain.records import (
 )
 from revisit.service.domain.states import EventKind, LoopState, OperationState, SubmapState
 from revisit.service.domain.webhooks import News, WebhookRecord
-from revisit.service.ports.clock import Clock, Instant
+from revisit.service.ports.clock import Clock
 from revisit.service.ports.index import IndexChange
 from revisit.service.ports.repositories import FoundSubmap, PathPoint, PlacedSubmap, SubmapStanding, Waiting
 
@@ -281,9 +281,9 @@ class MemoryLoops(MemoryRepository[LoopRecord]):
 class MemoryJobs(MemoryRepository[JobRecord]):
     """`JobRepository`."""
 
-    def next_runnable(self, now: Instant, tenant: TenantId) -> JobRecord | None:
+    def next_runnable(self, now_ms: int, tenant: TenantId, *, hold: bool = False) -> JobRecord | None:
         """See `LeasableJobs`."""
-        due = [job for job in self._all() if job.tenant == tenant and _due(job, now)]
+        due = [job for job in self._all() if job.tenant == tenant and _due(job, now_ms)]
         return min(due, key=lambda job: (job.priority, job.number), default=None)
 
     def unfinished(self, tenant: TenantId, operation_ids: Collection[str]) -> frozenset[str]:
@@ -292,9 +292,13 @@ class MemoryJobs(MemoryRepository[JobRecord]):
         ids = {job.operation_id for job in self._all() if job.tenant == tenant and job.state in going_on}
         return frozenset(ids.intersection(operation_ids))
 
-    def exhausted(self, now: Instant) -> list[JobRecord]:
+    def exchange(self, before: JobRecord, after: JobRecord) -> None:
         """See `LeasableJobs`."""
-        return [job for job in self._all() if _lost(job, now) and job.counted_attempts >= job.max_attempts]
+        self.replace(after)
+
+    def exhausted(self, now_ms: int, *, hold: bool = False) -> list[JobRecord]:
+        """See `LeasableJobs`."""
+        return [job for job in self._all() if _lost(job, now_ms) and job.counted_attempts >= job.max_attempts]
 
     def leased_to(self, owner: str | None) -> list[JobRecord]:
         """See `LeasableJobs`."""
@@ -320,14 +324,14 @@ class MemoryJobs(MemoryRepository[JobRecord]):
         return [job for _, job in sorted(self._rows.by_number.items())]
 
 
-def _lost(job: JobRecord, now: Instant) -> bool:
-    return job.state == OperationState.RUNNING and (job.lease_epoch != now.epoch or job.lease_expires_ms <= now.ms)
+def _lost(job: JobRecord, now_ms: int) -> bool:
+    return job.state == OperationState.RUNNING and job.lease_expires_ms <= now_ms
 
 
-def _due(job: JobRecord, now: Instant) -> bool:
+def _due(job: JobRecord, now_ms: int) -> bool:
     if job.state == OperationState.QUEUED:
-        return job.lease_epoch != now.epoch or job.not_before_ms <= now.ms
-    return _lost(job, now) and job.counted_attempts < job.max_attempts
+        return job.not_before_ms <= now_ms
+    return _lost(job, now_ms) and job.counted_attempts < job.max_attempts
 
 
 @dataclass(frozen=True)
@@ -483,17 +487,21 @@ class MemoryWorkerLog:
 
     def beat(self, worker_id: str, model_version: str) -> None:
         """See `WorkerLog`."""
-        now = self._clock.instant()
-        worker = WorkerRecord(worker_id, model_version, now.epoch, now.ms)
+        worker = WorkerRecord(worker_id, model_version, self._clock.monotonic_ms())
         self.forget(worker_id)
         self._rows.last += 1
         self._rows.by_number[self._rows.last] = worker
 
     def alive(self, within_ms: int) -> list[WorkerRecord]:
         """See `WorkerLog`."""
-        now, workers = self._clock.instant(), self._rows.by_number.values()
-        alive = [one for one in workers if one.epoch == now.epoch and one.seen_ms >= now.ms - within_ms]
+        now_ms = self._clock.monotonic_ms()
+        alive = [one for one in self._rows.by_number.values() if one.seen_ms >= now_ms - within_ms]
         return sorted(alive, key=lambda worker: (-worker.seen_ms, worker.worker_id))
+
+    def silent(self, since_ms: int) -> list[str]:
+        """See `WorkerLog`."""
+        now_ms = self._clock.monotonic_ms()
+        return [one.worker_id for one in self._rows.by_number.values() if one.seen_ms < now_ms - since_ms]
 
     def forget(self, worker_id: str) -> None:
         """See `WorkerLog`."""
@@ -514,11 +522,11 @@ class MemoryProcessLog:
         """See `ProcessLog`."""
         self.forget(process.process_id)
         self._rows.last += 1
-        self._rows.by_number[self._rows.last] = (process, self._clock.instant().ms)
+        self._rows.by_number[self._rows.last] = (process, self._clock.monotonic_ms())
 
     def alive(self, role: ProcessRole, within_ms: int) -> list[LivingProcess]:
         """See `ProcessLog`."""
-        since_ms = self._clock.instant().ms - within_ms
+        since_ms = self._clock.monotonic_ms() - within_ms
         seen = [process for process, seen_ms in self._rows.by_number.values() if seen_ms >= since_ms]
         return sorted((one for one in seen if one.role is role), key=lambda process: process.process_id)
 
@@ -533,7 +541,7 @@ class MemoryTenantTurns:
     """`TenantTurns`."""
 
     def __init__(self, turns: Rows, jobs: MemoryJobs) -> None:
-        """Turns by their place in `turns`; `jobs` tells who waits."""
+        """Pairs of a worker and a turn in `turns`; `jobs` tells who waits."""
         self._turns = turns
         self._jobs = jobs
 
@@ -541,20 +549,35 @@ class MemoryTenantTurns:
         """See `TenantTurns`."""
         unfinished = (OperationState.QUEUED, OperationState.RUNNING)
         tenants = {job.tenant for job in self._jobs.of_all_tenants() if job.state in unfinished}
-        return [self.of(tenant) for tenant in sorted(tenants)]
-
-    def of(self, tenant: TenantId) -> TurnRecord:
-        """See `TenantTurns`."""
-        turns = self._turns.by_number.values()
-        return next((turn for turn in turns if turn.tenant == tenant), TurnRecord(tenant))
+        return [_sum(tenant, [turn for _, turn in self._rows() if turn.tenant == tenant]) for tenant in sorted(tenants)]
 
     def latest_start_ms(self) -> int:
         """See `TenantTurns`."""
-        return max((turn.started_ms for turn in self._turns.by_number.values()), default=0)
+        return max((turn.started_ms for _, turn in self._rows()), default=0)
 
-    def keep(self, turn: TurnRecord) -> None:
+    def of_worker(self, worker_id: str) -> list[TurnRecord]:
         """See `TenantTurns`."""
-        others = {number: row for number, row in self._turns.by_number.items() if row.tenant != turn.tenant}
-        self._turns.last += 1
+        return [turn for worker, turn in self._rows() if worker == worker_id]
+
+    def add(self, turn: TurnRecord, worker_id: str) -> None:
+        """See `TenantTurns`."""
+        of_it = [one for one in self.of_worker(worker_id) if one.tenant == turn.tenant]
+        others = [row for row in self._rows() if row[0] != worker_id or row[1].tenant != turn.tenant]
+        self._keep([*others, (worker_id, _sum(turn.tenant, [*of_it, turn]))])
+
+    def forget(self, worker_id: str) -> None:
+        """See `TenantTurns`."""
+        self._keep([row for row in self._rows() if row[0] != worker_id])
+
+    def _rows(self) -> list[tuple[str, TurnRecord]]:
+        return list(self._turns.by_number.values())
+
+    def _keep(self, rows: list[tuple[str, TurnRecord]]) -> None:
         self._turns.by_number.clear()
-        self._turns.by_number.update({**others, self._turns.last: turn})
+        self._turns.by_number.update(enumerate(rows))
+
+
+def _sum(tenant: TenantId, turns: Sequence[TurnRecord]) -> TurnRecord:
+    started_ms = max((turn.started_ms for turn in turns), default=0)
+    lifted_ms = max((turn.lifted_ms for turn in turns), default=0)
+    return TurnRecord(tenant, started_ms, sum(turn.ran_ms for turn in turns), lifted_ms)

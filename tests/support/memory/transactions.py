@@ -96,7 +96,7 @@ class MemoryUnitOfWork:
             tables["webhook_deliveries"], ("number",)
         )
         turns = FairTurns(MemoryTenantTurns(tables["turns"], self.jobs))
-        self.queue = LeasedJobs(self.jobs, turns, lease_ms, clock)
+        self.queue = LeasedJobs(self.jobs, turns, lease_ms, clock.monotonic_ms, clock)
         self.blobs = MemoryBlobRows(tables["unreferenced_blobs"], tables, clock)
         self.changes = MemoryChangeLog(tables["changes"], tables["submaps"])
         self.workers = MemoryWorkerLog(tables["workers"], clock)

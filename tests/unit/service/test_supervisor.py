@@ -50,7 +50,7 @@ async def test_a_worker_that_cannot_be_started_is_tried_again_and_one_that_has_e
         return EndedProcess()
 
     monkeypatch.setattr(asyncio, "create_subprocess_exec", start)
-    watch = WorkerSupervisor(world.context.storage, world.context.policy.lease_ms, 1)
+    watch = WorkerSupervisor(world.context.storage, world.context.policy.lease_ms, 1, "one")
     watch.start()
     await asyncio.wait_for(started.wait(), PATIENCE_S)
     await asyncio.wait_for(watch.stop(5.0), PATIENCE_S)

@@ -10,7 +10,7 @@ from sqlalchemy import BigInteger, Column, Connection, MetaData, String, Table, 
 
 from revisit.service.domain.states import OperationState
 from revisit.service.engines.local.clock import MachineClock
-from revisit.service.engines.sql.tables import jobs, unreferenced_blobs, workers
+from revisit.service.engines.sql.tables import jobs, processes, unreferenced_blobs, workers
 
 boots = Table(
     "boots",
@@ -21,11 +21,14 @@ boots = Table(
 
 _OFFSET = select(boots.c.offset_ms)
 
+_UNFINISHED = (OperationState.QUEUED.value, OperationState.RUNNING.value)
+
 _TIMES = union_all(
     select(literal(0).label("ms")),
     select(func.max(workers.c.seen_ms)),
+    select(func.max(processes.c.seen_ms)),
     select(func.max(unreferenced_blobs.c.since_ms)),
-    select(func.max(jobs.c.claimed_ms)).where(jobs.c.state.in_((OperationState.QUEUED, OperationState.RUNNING))),
+    select(func.max(jobs.c.claimed_ms)).where(jobs.c.state.in_(_UNFINISHED)),
 ).subquery()
 
 _LATEST = select(func.max(_TIMES.c.ms))
