@@ -212,5 +212,5 @@ def test_openapi_requires_what_is_always_there_and_describes_it_with_the_comment
     assert {"name", "flags", "model_version"} <= set(submap["required"])
     assert not {"first_seq", "failure", "t_odom_submap"} & set(submap["required"])
     assert submap["properties"]["seq"]["type"] == "string"
-    assert submap["properties"]["state"]["enum"] == ["QUEUED", "DESCRIBED", "FAILED"]
+    assert submap["properties"]["state"]["enum"] == ["QUEUED", "DESCRIBED", "FAILED", "RETIRED"]
     assert submap["properties"]["ordinal"]["description"] == "Counts the submaps of its session from 0."
