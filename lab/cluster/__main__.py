@@ -22,6 +22,8 @@ CLIENTS = 16
 ROBOTS = 64
 """Of a gateway: scans that wait for their acknowledgement at a time."""
 
+JOBS = 20_000
+
 
 def main() -> None:
     """Measure, and print one JSON object."""
@@ -36,19 +38,16 @@ def main() -> None:
 
 def _measured(url: str, pgbench: str, seconds: float) -> dict[str, object]:
     bench = {clients: _pgbench(url, pgbench, clients, seconds) for clients in (1, CLIENTS)}
-    figures: dict[str, float] = {
-        "acknowledgements/s, 1 gateway": _rate(acknowledge, url, 1, ROBOTS, seconds),
-        "acknowledgements/s, 3 gateways": _rate(acknowledge, url, 3, ROBOTS, seconds),
-    }
-    queue_jobs(url, 20_000)
-    figures["claims and completions/s, 16 clients"] = _rate(work_off, url, 4, CLIENTS // 4, seconds)
+    figures = {f"acknowledgements/s, {n} gateways": _rate(acknowledge, url, n, ROBOTS, seconds) for n in (1, 3)}
+    queue_jobs(url, JOBS)
+    figures[f"claims and completions/s, {CLIENTS} clients"] = _rate(work_off, url, 4, CLIENTS // 4, seconds)
     after = {clients: _pgbench(url, pgbench, clients, seconds) for clients in (1, CLIENTS)}
-    base = {clients: (bench[clients] + after[clients]) / 2 for clients in bench}
+    base = (bench[CLIENTS] + after[CLIENTS]) / 2
     return {
         "load": os.getloadavg()[0],
         "pgbench -N transactions/s, before and after": {clients: (bench[clients], after[clients]) for clients in bench},
         **{name: round(rate) for name, rate in figures.items()},
-        "in those of pgbench with 16 clients": {name: round(rate / base[CLIENTS], 2) for name, rate in figures.items()},
+        "in those of pgbench with 16 clients": {name: round(rate / base, 2) for name, rate in figures.items()},
     }
 
 

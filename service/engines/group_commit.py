@@ -27,6 +27,11 @@ TRIES = 3
 class Savepoints:
     """How a transaction keeps its members apart: each in a savepoint, so that an error undoes its own changes only."""
 
+    @property
+    def group_s(self) -> float:
+        """A group is closed after so long at the latest."""
+        return MAX_GROUP_S
+
     def begin(self, connection: Connection, *, first: bool) -> None:
         """Before a member's work; `first`: of its transaction, in which nothing is held yet."""
         connection.exec_driver_sql("SAVEPOINT member")
@@ -143,7 +148,7 @@ class GroupCommitter:
     def _group(self, first: _Write[Any]) -> Iterator[_Write[Any]]:
         """`first` and the writes queued behind it that may share its transaction."""
         yield first
-        deadline = time.monotonic() + MAX_GROUP_S
+        deadline = time.monotonic() + self._savepoints.group_s
         for _ in range(0 if first.alone else MAX_GROUP - 1):
             if time.monotonic() >= deadline:
                 return

@@ -29,6 +29,9 @@ from revisit.service.ports.transactions import UnitOfWork
 
 T = TypeVar("T")
 
+GROUP_S = 0.025
+"""How long a group takes members: each of them is five round trips to the server, so 5 ms would be two of them."""
+
 GLANCE_MS = 5
 """How long a later member of a group waits for a row that another process holds."""
 
@@ -119,6 +122,8 @@ def _begin(engine: Engine) -> Connection:
 
 class PostgresSavepoints(Savepoints):
     """Savepoints in one round trip a member; later members only glance at rows that others hold."""
+
+    group_s = GROUP_S
 
     def begin(self, connection: Connection, *, first: bool) -> None:
         """See `Savepoints`; also the end of the member before."""
