@@ -13,10 +13,11 @@ from sqlalchemy import create_engine, text
 from sqlalchemy.exc import DBAPIError
 
 from revisit.service.domain.errors import AlreadyExists
+from revisit.service.domain.identity import TenantId
 from revisit.service.engines.postgres.transactions import PostgresTransactions
 from revisit.service.features.audit.calls import AuditEntry, append, judge
 from tests.support.patience import PATIENCE_S
-from tests.support.records import TENANT, a_map
+from tests.support.records import TENANT, a_job, a_map
 from tests.support.stepped_clock import SteppedClock
 
 
@@ -159,3 +160,23 @@ def test_the_embedded_default_imports_nothing_of_postgresql():
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.split() == []
+
+
+def test_every_job_is_claimed_once_however_many_workers_ask_at_the_same_time(two, postgres_url):
+    stores = [*two, *(PostgresTransactions(postgres_url, clock=SteppedClock("boot", 0)) for _ in range(2))]
+    ids = [f"op-{number}" for number in range(60)]
+    jobs = [a_job(name, tenant=TenantId(f"fleet-{n % 3}")) for n, name in enumerate(ids)]
+    two[0].write(lambda uow: [uow.queue.enqueue(job) for job in jobs]).result()
+
+    def work(store) -> list[str]:
+        claimed = []
+        while (lease := store.write(lambda uow: uow.queue.claim(f"w{id(store)}"), durable=False).result()) is not None:
+            claimed.append(lease.job.operation_id)
+            store.write(lambda uow, lease=lease: uow.queue.complete(lease, {})).result()
+        return claimed
+
+    with ThreadPoolExecutor(len(stores)) as pool:
+        claimed = [name for names in pool.map(work, stores) for name in names]
+    for store in stores[2:]:
+        store.close()
+    assert sorted(claimed) == sorted(ids)

@@ -29,7 +29,7 @@ class JobClaims:
             return None
         if not self._transactions.read(lambda uow: uow.queue.waits()).result():
             return None
-        return self._transactions.write(self._claim).result()
+        return self._transactions.write(self._claim, durable=False).result()
 
     def _claim(self, uow: UnitOfWork) -> Lease | None:
         for job in uow.queue.fail_exhausted_jobs():
