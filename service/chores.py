@@ -12,6 +12,7 @@ from revisit.service.context import ServiceContext
 from revisit.service.engines.local.files.disk import FailStop
 from revisit.service.engines.local.sqlite.checkpoints import Checkpoints
 from revisit.service.engines.local.sqlite.connections import write_ahead_log
+from revisit.service.engines.local.sqlite.free_pages import FreePages
 from revisit.service.engines.local.sqlite.transactions import StorageFailures
 from revisit.service.engines.state import state_of
 from revisit.service.features.upkeep.chores import Chore
@@ -22,6 +23,7 @@ from revisit.service.settings import Settings
 
 TEND_DISK_EVERY_S = 0.5
 FOLD_LOG_BACK_EVERY_S = 1.0
+GIVE_BACK_EVERY_S = 5.0
 SWEEP_EVERY_S = 6 * 3600.0
 COLLECT_EVERY_S = 20.0
 LOAD_INDEX_EVERY_S = 1.0
@@ -42,10 +44,16 @@ def chores(settings: Settings, context: ServiceContext, fail_stop: FailStop) -> 
     if state_of(settings.home, settings.database_url).on_this_machine:
         failures = StorageFailures(write_ahead_log(settings.database), fail_stop, disk.release)
         fold = partial(asyncio.to_thread, Checkpoints(settings.database, failures).tend)
-        return tend, Chore("fold_log_back", FOLD_LOG_BACK_EVERY_S, fold, at_end=True), *index, *store
+        folding = Chore("fold_log_back", FOLD_LOG_BACK_EVERY_S, fold, at_end=True)
+        give = Chore("give_pages_back", GIVE_BACK_EVERY_S, partial(_give_back, FreePages(settings.database, failures)))
+        return tend, folding, give, *index, *store
     gateways = Gateways(context.storage, context.share)
     show = Chore("show_gateway", SHOWN_EVERY_S, gateways.show, close=gateways.leave)
     return tend, show, *index, *(replace(chore, work=gateways.of_keeper(chore.work)) for chore in store)
+
+
+async def _give_back(pages: FreePages) -> None:
+    await asyncio.to_thread(pages.tend)
 
 
 def _of_index(context: ServiceContext) -> Iterator[Chore]:

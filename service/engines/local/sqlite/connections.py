@@ -31,6 +31,9 @@ WRITER_PRAGMAS: dict[str, str | int] = {
     "temp_store": 2,  # MEMORY: a full disk cannot break a rollback
     "secure_delete": 1,  # deleted rows are overwritten
 }
+INCREMENTAL = 2
+"""The `auto_vacuum` of a file that can give pages back. A file that has tables keeps its own, so nothing demands it."""
+
 READER_PRAGMAS: dict[str, str | int] = {"query_only": 1, "busy_timeout": 5000, "wal_autocheckpoint": 0}
 
 
@@ -41,7 +44,8 @@ def writer_engine(path: Path, *, checkpoints: bool, checksums: bool = True) -> E
     written gets its checksum, unless the schema itself is to be changed (`checksums`).
     """
     engine = create_engine(f"sqlite:///{path}", json_deserializer=from_json, pool_size=1, max_overflow=0)
-    _prepare(engine, writer_pragmas(checkpoints=checkpoints), "BEGIN IMMEDIATE", keep_checksums if checksums else None)
+    pragmas = {"auto_vacuum": INCREMENTAL, **writer_pragmas(checkpoints=checkpoints)}
+    _prepare(engine, pragmas, "BEGIN IMMEDIATE", keep_checksums if checksums else None)
     return engine
 
 
