@@ -149,7 +149,8 @@ def kept_share(fleet: Fleet) -> float:
     if policy.keep_scans is KeptScans.NONE:
         return 0.0
     described = max(config.scans_per_tau + 1, config.enough_returns / of_beams("returns", fleet.beams))
-    return min(1.0, described / config.tau * fleet.speed_m_s / fleet.hz)
+    a_metre = value("scans_kept_a_described") * described / config.tau
+    return min(1.0, a_metre * fleet.speed_m_s / fleet.hz)
 
 
 def _disk_of_days(fleet: Fleet, submaps_s: float, scans_s: float, days: float) -> Iterator[tuple[str, float]]:

@@ -333,3 +333,17 @@ def test_workers_are_alive_while_they_beat(write, read, clock):
     assert read(lambda uow: uow.workers.silent(400)) == ["w3"]
     write(lambda uow: uow.workers.forget("w1"))
     assert alive(300) == ["w2"]
+
+
+def test_the_standings_of_submaps_are_read_by_map_and_by_session(write, read):
+    *_, first, second, _ = write(fill)
+    write(lambda uow: uow.sessions.add(a_session("tuesday")))
+    third = write(
+        lambda uow: uow.submaps.add(a_submap("c", session_id="tuesday", kept_scans="NONE", described_at_ns=7))
+    )
+    write(lambda uow: uow.maps.add(a_map(tenant=OTHER)))
+    all_of_it = read(lambda uow: uow.submaps.standings(TENANT, "town"))
+    assert [one.number for one in all_of_it] == [first.number, second.number, third.number]
+    (of_tuesday,) = read(lambda uow: uow.submaps.standings(TENANT, "town", "tuesday"))
+    assert of_tuesday == all_of_it[-1] and (of_tuesday.kept_scans, of_tuesday.described_at_ns) == ("NONE", 7)
+    assert read(lambda uow: uow.submaps.standings(OTHER, "town")) == []
