@@ -159,6 +159,18 @@ class WorkersProcess(_Logging):
         self.wait_for("worker_ready")
 
 
+class SearchProcess(_Logging):
+    """`python -m revisit.service search` on a free port."""
+
+    command = ("search",)
+
+    def start(self) -> None:
+        """Start it and wait until it is asked."""
+        seen = len(self.events)
+        super().start()
+        self.wait_for("search_ready", after=seen)
+
+
 def is_running(pid: int) -> bool:
     """Whether a process lives (a zombie does not)."""
     try:
