@@ -90,6 +90,7 @@ def _survey(uow: UnitOfWork, blobs: BlobStore, tenant: TenantId) -> Survey:
         found.problems.extend(_session_problems(session, submaps, scans))
     for map_record in uow.maps.find(tenant):
         found.problems.extend(_index_problems(uow, map_record, submaps))
+        found.problems.extend(_number_problems(uow, map_record, submaps))
         found.problems.extend(_version_problems(uow, map_record))
     made = [(TILE_BLOB, row.tile_sha256) for row in uow.map_tiles.find(tenant)]
     made += [(MAP_LAYOUT_BLOB, row.layout_sha256) for row in uow.map_files.find(tenant)]
@@ -142,6 +143,24 @@ def _index_problems(uow: UnitOfWork, record: MapRecord, submaps: list[SubmapReco
     loops = uow.loops.find(record.tenant, map_id=record.map_id)
     dangling = [loop.loop_id for loop in loops if not {loop.query_number, loop.match_number} <= of_map.keys()]
     return found + [f"{loop_id}: an end of it is gone" for loop_id in dangling]
+
+
+def _number_problems(uow: UnitOfWork, record: MapRecord, submaps: list[SubmapRecord]) -> Iterator[str]:
+    """No number of the map was given twice, and the counters are behind none of them."""
+    tenant, map_id = record.tenant, record.map_id
+    numbers = {
+        "changes": [change.seq for change in uow.changes.since(tenant, record.number, 0)],
+        "events": [event.number for event in uow.events.following(tenant, map_id, 0, 1_000_000)],
+        "submaps": [submap.seq for submap in submaps if submap.map_id == map_id],
+    }
+    for kind, given in numbers.items():
+        if len(set(given)) < len(given) or 0 in given:
+            yield f"{map_id}: numbers of {kind} are {sorted(given)}"
+    last = {"events": uow.events.last_numbers([(tenant, map_id)])[tenant, map_id]}
+    last["submaps"] = uow.submaps.last_seq(tenant, map_id)
+    for kind, number in last.items():
+        if max(numbers[kind], default=0) > number:
+            yield f"{map_id}: the last number of {kind} is {number}, one has {max(numbers[kind])}"
 
 
 def _version_problems(uow: UnitOfWork, record: MapRecord) -> Iterator[str]:
