@@ -19,6 +19,7 @@ from prometheus_client.registry import Collector
 from revisit.core.errors import ErrorCode, RevisitError
 from revisit.service.capacity.in_flight import InFlight
 from revisit.service.context import ServiceContext
+from revisit.service.domain.processes import ProcessRole
 from revisit.service.domain.states import LoopState, OperationState, SubmapState
 from revisit.service.features.upkeep.calls import WORKER_SEEN_WITHIN_MS
 from revisit.service.ports.clock import Clock
@@ -143,12 +144,14 @@ class StoreMetrics(Collector):
             for name, (text, table, states) in tables.items()
         }
         alive = uow.workers.alive(WORKER_SEEN_WITHIN_MS)
+        processes: Values = {role.value: len(uow.processes.alive(role, WORKER_SEEN_WITHIN_MS)) for role in ProcessRole}
         waiting, now_ns = uow.jobs.waiting(), self._context.clock.wall_ns()
         oldest_ns = now_ns if waiting.oldest_queued_ns is None else waiting.oldest_queued_ns
         return {
             **counts,
             "revisit_jobs_begun_again": ("Jobs that wait or run after a lost run.", "", {"": waiting.begun_again}),
             "revisit_workers": ("Workers that have shown themselves lately.", "", {"": len(alive)}),
+            "revisit_processes": ("Gateways and search processes that live.", "role", processes),
             "revisit_oldest_queued_job_seconds": (
                 "How long the oldest queued job has waited.",
                 "",
