@@ -95,7 +95,7 @@ def driven(client):
     return client.get_map_file(client.wait(client.publish_map(town.name)).result["map_file"])
 
 
-@pytest.mark.parametrize("transport", ["rest", "grpc"])
+@pytest.mark.parametrize("transport", ["rest", pytest.param("grpc", marks=pytest.mark.slow)])
 def test_a_map_is_driven_downloaded_and_deleted_and_the_bucket_is_left_empty(world, bucket, tmp_path, transport):
     with live_service(world) as service, connected(service, transport) as client:
         published = driven(client)
