@@ -6,7 +6,7 @@ import threading
 from concurrent.futures import Future
 from contextlib import contextmanager
 
-from sqlalchemy import Connection, Engine, MetaData, Table, create_engine, text
+from sqlalchemy import Connection, Engine, Integer, MetaData, Table, create_engine, text
 from sqlalchemy.pool import StaticPool
 
 from revisit.service.engines.local.clock import SystemClock
@@ -99,6 +99,8 @@ def plain_database() -> Engine:
 
 def _create(connection: Connection, table: Table) -> None:
     numbered = {"number", "seq"} & set(table.primary_key.columns.keys())
+    for name in numbered:
+        table.c[name].type = Integer()  # which has 64 bits here, and counts by itself
     table.dialect_options["sqlite"]["autoincrement"] = bool(numbered)
     table.create(connection)
     for number in numbered:

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from sqlalchemy import JSON, BigInteger, Column, Integer, String, Table, UniqueConstraint
+from sqlalchemy import JSON, BigInteger, Column, String, Table, UniqueConstraint
 
 from revisit.service.engines.sql.tables import JsonTuple, metadata
 
 api_keys = Table(
     "api_keys",
     metadata,
-    Column("number", Integer, primary_key=True, autoincrement=True),
+    Column("number", BigInteger, primary_key=True, autoincrement=True),
     Column("tenant", String(64), nullable=False),
     Column("key_id", String(64), nullable=False),
     Column("label", String(256), nullable=False),
@@ -26,7 +26,7 @@ api_keys = Table(
 audit_log = Table(
     "audit_log",
     metadata,
-    Column("number", Integer, primary_key=True, autoincrement=True),
+    Column("number", BigInteger, primary_key=True, autoincrement=True),
     Column("at_ns", BigInteger, nullable=False),
     Column("tenant", String(64), nullable=False),
     Column("actor", String(256), nullable=False),

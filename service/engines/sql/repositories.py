@@ -14,11 +14,11 @@ from operator import itemgetter
 from typing import Any, Generic, TypeVar
 
 from sqlalchemy import (
+    BigInteger,
     BindParameter,
     ColumnElement,
     Connection,
     Delete,
-    Integer,
     Row,
     Select,
     Table,
@@ -373,7 +373,7 @@ def _path(sees_all: bool, *, back: bool) -> Select[Any]:
     submaps = tables.submaps.c
     query = select(*(submaps[field.name] for field in dataclasses.fields(PathPoint)))
     query = query.where(_has(tables.submaps, ("tenant", "map_id", "session_id"), ()), seen(tables.submaps, sees_all))
-    start = bindparam("from_ordinal", type_=Integer)
+    start = bindparam("from_ordinal", type_=BigInteger)
     ahead = submaps.ordinal < start if back else submaps.ordinal > start
     order = submaps.ordinal.desc() if back else submaps.ordinal
     return query.where(ahead).order_by(order).limit(bindparam("at_most"))
