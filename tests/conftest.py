@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import inspect
 from collections.abc import Iterator
 from importlib.util import find_spec
@@ -37,6 +38,14 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """
     folders = [*FIRST, *sorted({item.path.relative_to(TESTS).parts[0] for item in items}.difference(FIRST))]
     items.sort(key=lambda item: folders.index(item.path.relative_to(TESTS).parts[0]))
+
+
+def pytest_collection_finish() -> None:
+    """What was imported and collected stays: the garbage collector looks at a million objects less, a second each time.
+
+    `gc.get_objects` leaves them out from now on.
+    """
+    gc.freeze()
 
 
 @pytest.hookimpl(wrapper=True)

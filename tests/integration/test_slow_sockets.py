@@ -22,6 +22,7 @@ from tests.support.processes import ServiceProcess
 CLOSED_WITHIN_S = 15.0
 SOCKETS = int(os.environ.get("REVISIT_SLOW_SOCKETS", "2000"))
 SLOWEST_MS = 1000.0
+ELSEWHERE = "127.0.1.1"
 BODY = b"POST /v1/maps HTTP/1.1\r\nHost: localhost\r\nContent-Type: application/json\r\nContent-Length: 999\r\n\r\n{"
 BEGINNINGS = {
     ("http", "silent"): b"",
@@ -83,7 +84,8 @@ class Hanging:
 def test_sockets_that_hang_are_closed_and_no_client_is_kept_waiting(service, count):
     hanging, took_s = Hanging(), []
     with (
-        httpx.Client(base_url=service.url, trust_env=False) as http,
+        # From an address of its own: new connections of one address without a key have a pace.
+        httpx.Client(transport=httpx.HTTPTransport(local_address=ELSEWHERE), base_url=service.url) as http,
         Client.grpc(service.grpc_target, retry=RetryPolicy(attempts=1)) as rpc,
     ):
         for number in range(count):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import ast
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, cached_property
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -16,7 +16,11 @@ class Module:
 
     name: str
     text: str
-    tree: ast.Module
+
+    @cached_property
+    def tree(self) -> ast.Module:
+        """The text, parsed when a rule asks for it first."""
+        return ast.parse(self.text)
 
 
 @cache
@@ -33,8 +37,7 @@ def modules(*packages: str) -> tuple[Module, ...]:
 
 @cache
 def _module(path: Path) -> Module:
-    text = path.read_text()
-    return Module(path.relative_to(ROOT).as_posix(), text, ast.parse(text))
+    return Module(path.relative_to(ROOT).as_posix(), path.read_text())
 
 
 def calls(tree: ast.AST) -> list[ast.Call]:
