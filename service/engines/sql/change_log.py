@@ -12,7 +12,7 @@ from revisit.service.domain.identity import TenantId
 from revisit.service.domain.records import MapRecord
 from revisit.service.engines.sql import tables
 from revisit.service.engines.sql.checksums import sound_descriptor
-from revisit.service.engines.sql.map_numbers import DESCRIBED, note_changes
+from revisit.service.engines.sql.map_numbers import note_changes
 from revisit.service.ports.index import IndexChange
 
 SESSION_REMOVED = "SESSION_REMOVED"
@@ -28,7 +28,7 @@ class SqlChangeLog:
 
     def record_described(self, record: MapRecord, submap_number: int) -> None:
         """See `ChangeLog`."""
-        self._note(record, DESCRIBED, [submap_number])
+        self._note(record, "DESCRIBED", [submap_number], enter=True)
 
     def record_removed(self, record: MapRecord, submap_numbers: Collection[int]) -> None:
         """See `ChangeLog`."""
@@ -38,10 +38,10 @@ class SqlChangeLog:
         """See `ChangeLog`."""
         self._note(record, SESSION_REMOVED, [session_number])
 
-    def _note(self, record: MapRecord, kind: str, numbers: Sequence[int]) -> None:
+    def _note(self, record: MapRecord, kind: str, numbers: Sequence[int], *, enter: bool = False) -> None:
         its = {"tenant": record.tenant, "map_number": record.number, "kind": kind}
         rows = [{**its, "submap_number": number} for number in numbers]
-        note_changes(self._connection, record.tenant, record.map_id, rows)
+        note_changes(self._connection, record.tenant, record.map_id, rows, enter=enter)
 
     def since(self, tenant: TenantId, map_number: int, seq: int, limit: int | None = None) -> list[IndexChange]:
         """See `ChangeLog`."""

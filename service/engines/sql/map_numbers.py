@@ -21,9 +21,6 @@ from revisit.service.engines.sql import tables
 
 T = TypeVar("T")
 
-DESCRIBED = "DESCRIBED"
-"""The kind of a change by which a submap entered its map."""
-
 _NOTED = "noted numbers"
 
 _MapKey = tuple[TenantId, str]
@@ -31,16 +28,21 @@ _MapKey = tuple[TenantId, str]
 
 @dataclass(frozen=True)
 class _Noted:
-    """Rows of one map without their number: changes and events to add, and the numbers of submaps that were added."""
+    """Rows of one map without their number: changes and events to add, and the numbers of submaps that were added.
 
-    changes: list[dict[str, Any]] = field(default_factory=list)
+    With each change: whether its submap enters by it.
+    """
+
+    changes: list[tuple[dict[str, Any], bool]] = field(default_factory=list)
     events: list[dict[str, Any]] = field(default_factory=list)
     submaps: list[int] = field(default_factory=list)
 
 
-def note_changes(connection: Connection, tenant: TenantId, map_id: str, rows: Sequence[dict[str, Any]]) -> None:
-    """Add these rows of `index_changes` at the end of the transaction; a submap that enters is told its number."""
-    _notes(connection).extend(((tenant, map_id), "changes", row) for row in rows)
+def note_changes(
+    connection: Connection, tenant: TenantId, map_id: str, rows: Sequence[dict[str, Any]], *, enter: bool
+) -> None:
+    """Add these rows of `index_changes` at the end of the transaction; submaps that `enter` are told the numbers."""
+    _notes(connection).extend(((tenant, map_id), "changes", (row, enter)) for row in rows)
 
 
 def note_event(connection: Connection, tenant: TenantId, map_id: str, row: dict[str, Any]) -> None:
@@ -87,6 +89,7 @@ def _number(connection: Connection, notes: list[tuple[_MapKey, str, Any]]) -> No
     changes: list[dict[str, Any]] = []
     events: list[dict[str, Any]] = []
     submaps: list[dict[str, Any]] = []
+    entered: list[dict[str, Any]] = []
     for (tenant, map_id), its in sorted(of_map.items()):
         more = {"changes": len(its.changes), "events": len(its.events), "submaps": len(its.submaps)}
         asked = {"its_tenant": tenant, "its_map": map_id, **{f"more_{name}": count for name, count in more.items()}}
@@ -94,12 +97,11 @@ def _number(connection: Connection, notes: list[tuple[_MapKey, str, Any]]) -> No
         if last is None:
             continue  # the map is gone, and with it whoever could ask for these
         first = {name: getattr(last, name) - count + 1 for name, count in more.items()}
-        changes += [{**row, "seq": seq} for seq, row in enumerate(its.changes, first["changes"])]
+        for seq, (row, enters) in enumerate(its.changes, first["changes"]):
+            changes.append({**row, "seq": seq})
+            entered += [{"its_number": row["submap_number"], "its_change": seq}] if enters else []
         events += [{**row, "seq": seq} for seq, row in enumerate(its.events, first["events"])]
         submaps += [{"its_number": number, "its_seq": seq} for seq, number in enumerate(its.submaps, first["submaps"])]
-    entered = [
-        {"its_number": row["submap_number"], "its_change": row["seq"]} for row in changes if row["kind"] == DESCRIBED
-    ]
     for statement, rows in (
         (insert(tables.index_changes), changes),
         (insert(tables.events), events),
