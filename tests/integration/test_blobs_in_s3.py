@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import ssl
 from functools import partial
 from itertools import islice
 
 import pytest
+import trustme
 
 from revisit.core.errors import DataLoss, ErrorCode
 from revisit.service.domain.errors import StorageFull, StorageUncertain
@@ -258,6 +260,19 @@ def test_a_trial_says_what_is_wrong(bucket, monkeypatch, place, other, words, fo
         S3BlobStore(place(bucket), retries_s=0.2).try_out()
     assert unusable.value.for_good == for_good
     assert str(unusable.value).startswith("s3://")
+
+
+def test_a_private_authority_is_trusted_where_a_variable_names_it(bucket, monkeypatch, tmp_path):
+    authority, context = trustme.CA(), ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+    authority.issue_cert("localhost").configure_cert(context)
+    authority.cert_pem.write_to_path(tmp_path / "ca.pem")
+    with s3_link(nanio().address, tls=context) as link:
+        use(monkeypatch, link.url)
+        with pytest.raises(BlobStoreUnusable, match="SSL_CERT_FILE") as unusable:
+            S3BlobStore(bucket, retries_s=0.0).try_out()
+        assert unusable.value.for_good
+        monkeypatch.setenv("SSL_CERT_FILE", str(tmp_path / "ca.pem"))
+        assert S3BlobStore(bucket).try_out() is False
 
 
 @pytest.mark.parametrize("right", ["PUT", "GET", "POST"])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import http.client
 import socket
+import ssl
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -76,11 +77,16 @@ class S3Link:
 
 
 @contextmanager
-def s3_link(target: str, fault: Callable[[Request], Fault] = lambda request: WHOLE) -> Iterator[S3Link]:
-    """A link to `target` (host:port) until the block ends."""
+def s3_link(
+    target: str, fault: Callable[[Request], Fault] = lambda request: WHOLE, tls: ssl.SSLContext | None = None
+) -> Iterator[S3Link]:
+    """A link to `target` (host:port) until the block ends; over TLS with a context, under the name localhost."""
     link = S3Link(target, fault)
     server = _Server(("127.0.0.1", 0), lambda *about: _Handler(link, *about))
     link.url = f"http://127.0.0.1:{server.server_port}"
+    if tls is not None:
+        server.socket = tls.wrap_socket(server.socket, server_side=True)
+        link.url = f"https://localhost:{server.server_port}"
     thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.02}, daemon=True)
     thread.start()
     try:

@@ -26,6 +26,7 @@ REASONS = {
     "AuthorizationHeaderMalformed": "the bucket is in another region (AWS_REGION)",
     "ExpiredToken": "the session of the access key has ended (AWS_SESSION_TOKEN)",
     "InvalidAccessKeyId": "the access key is unknown there (AWS_ACCESS_KEY_ID)",
+    "InvalidCertificate": "its certificate is not to be trusted (SSL_CERT_FILE names the file of a private authority)",
     "InvalidToken": "the session of the access key is none (AWS_SESSION_TOKEN)",
     "NoSuchBucket": "there is no such bucket",
     "PermanentRedirect": "the bucket is in another region (AWS_REGION)",
@@ -46,10 +47,10 @@ _STATUS = re.compile(r"status code: (\d{3})")
 
 
 def codes_of(error: BaseException) -> list[str]:
-    """The server's own code, where it gave one, and its HTTP status; none without an answer."""
+    """The server's own code, where it gave one, its HTTP status, that of its handshake; none without answer."""
     text = str(error)
     own = [code or other for code, other in _CODE.findall(text)[:1]]
-    return own + _STATUS.findall(text)[:1]
+    return own + _STATUS.findall(text)[:1] + [code for code in ("InvalidCertificate",) if code in text]
 
 
 def is_missing(error: BaseException) -> bool:
@@ -64,6 +65,8 @@ def is_mistake(error: BaseException) -> bool:
 
 def is_answer(error: BaseException) -> bool:
     """Whether the server has refused this very call; else it is silent, or too busy to answer anybody."""
+    if "InvalidCertificate" in codes_of(error):
+        return False
     return is_mistake(error) or bool(NO_ROOM.intersection(codes_of(error))) or isinstance(error, FileNotFoundError)
 
 
