@@ -180,11 +180,11 @@ class MistakenRecogniser(FakeRecogniser):
 
 
 def load_mistaken() -> MistakenRecogniser:
-    """What REVISIT_RECOGNISER=tests.support.fake_recogniser:load_mistaken loads."""
+    """What `recogniser` of REVISIT_FOR_TESTS, tests.support.fake_recogniser:load_mistaken, loads."""
     return MistakenRecogniser()
 
 
 def load() -> FakeRecogniser:
-    """What REVISIT_RECOGNISER=tests.support.fake_recogniser:load loads."""
+    """What `recogniser` of REVISIT_FOR_TESTS, tests.support.fake_recogniser:load, loads."""
     time.sleep(float(os.environ.get("REVISIT_FAKE_LOAD_S", "0")))
     return FakeRecogniser()

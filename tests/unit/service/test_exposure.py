@@ -24,7 +24,7 @@ def served(monkeypatch, tmp_path):
     """A home, and what would have been served there."""
     monkeypatch.setenv("REVISIT_HOME", str(tmp_path))
     calls = []
-    monkeypatch.setattr("revisit.service.gateway.serve", lambda settings: calls.append(settings) or 0)
+    monkeypatch.setattr("revisit.service.gateway.serve", lambda settings, _: calls.append(settings) or 0)
     yield calls
     structlog.reset_defaults()
     logging.basicConfig(force=True, handlers=[logging.NullHandler()])
