@@ -22,7 +22,7 @@ from revisit.service.engines.local.sqlite.transactions import SqliteTransactions
 from revisit.service.engines.sql import tables
 from tests.contract.test_transactions import fill
 from tests.support.patience import PATIENCE_S
-from tests.support.records import TENANT, a_map, a_session, a_submap
+from tests.support.records import TENANT, a_job, a_map, a_session, a_submap
 
 
 @pytest.fixture
@@ -226,6 +226,39 @@ def test_submaps_are_found_by_number_without_looking_at_the_others_of_their_tena
     plan = store.write(by_number).result()
     assert plan[0].startswith("SEARCH submaps USING INTEGER PRIMARY KEY")
     store.close()
+
+
+BY_INDEX = {
+    "waits": lambda uow: uow.queue.waits(),
+    "claim": lambda uow: uow.queue.claim("w1"),
+    "bury": lambda uow: uow.queue.fail_exhausted_jobs(),
+    "release": lambda uow: uow.queue.release("w1", "it fell over"),
+    "refer": lambda uow: uow.blobs.refer(TENANT, [("cloud", "f" * 64)]),
+    "let go": lambda uow: uow.blobs.release(TENANT, {("cloud", "e" * 64)}),
+    "collect": lambda uow: uow.blobs.begin(0, 5),
+}
+
+
+@pytest.mark.parametrize("call", BY_INDEX.values(), ids=BY_INDEX)
+def test_the_queue_and_the_collection_of_blobs_look_through_no_table(database, call):
+    store = SqliteTransactions(database, checkpoints=True)
+    sent = []
+
+    def plans(uow):
+        uow.queue.enqueue(a_job())
+        uow.blobs.release(TENANT, {("cloud", "f" * 64)})
+        event.listen(uow.connection, "before_cursor_execute", lambda *seen: sent.append(seen[2:4]))
+        call(uow)
+        asked = [one for one in sent if one[0].startswith(("SELECT", "UPDATE", "DELETE"))]
+        explain = uow.connection.exec_driver_sql
+        return [row.detail for one in asked for row in explain(f"EXPLAIN QUERY PLAN {one[0]}", one[1])]
+
+    plan = store.write(plans).result()
+    store.close()
+    assert plan
+    looked_through = {step.split()[1] for step in plan if step.startswith("SCAN ") and " USING " not in step}
+    # The turns of a dead worker are found among those of the workers that there are.
+    assert looked_through & {*tables.metadata.tables} <= {"worker_turns"}
 
 
 def test_a_full_database_refuses_and_takes_writes_again_when_there_is_room(database):
