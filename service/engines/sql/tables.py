@@ -398,7 +398,7 @@ jobs = _numbered(
     Column("forgiven", BigInteger, nullable=False, server_default="0"),
     _json("progress", nullable=True),
     Column("cancel_requested", Boolean, nullable=False, server_default="0"),
-    Index(None, "state", "tenant", "priority"),
+    Index(None, "state", "tenant", "priority", "number"),
     Index(None, "tenant", "state"),
     Index(None, "finished_at_ns", info={"where": ANSWERED_QUERIES}),
 )

@@ -38,7 +38,6 @@ class SqlTenantTurns:
 
     def waiting(self) -> list[TurnRecord]:
         """See `TenantTurns`."""
-        # One query per state: each walks an index that holds all it needs.
         states = (OperationState.QUEUED, OperationState.RUNNING)
         found = {row[0] for state in states for row in self._connection.execute(_at_work(), {"state": state.value})}
         return [self._of(tenant) for tenant in sorted(found)]
@@ -73,7 +72,12 @@ class SqlTenantTurns:
 
 @cache
 def _at_work() -> Select[Any]:
-    return select(tables.jobs.c.tenant).where(tables.jobs.c.state == bindparam("state")).distinct()
+    """The tenants with a job of this `state`: from one to the next in the index, however many jobs each of them has."""
+    in_state = select(func.min(tables.jobs.c.tenant)).where(tables.jobs.c.state == bindparam("state"))
+    found = in_state.with_only_columns(func.min(tables.jobs.c.tenant).label("tenant")).cte("found", recursive=True)
+    following = in_state.where(tables.jobs.c.tenant > found.c.tenant).scalar_subquery()
+    found = found.union_all(select(following).where(found.c.tenant.is_not(None)))
+    return select(found.c.tenant).where(found.c.tenant.is_not(None))
 
 
 @cache
