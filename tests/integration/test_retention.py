@@ -25,15 +25,24 @@ from tests.support.retained import (
     stored_seqs,
     streamed,
 )
-from tests.support.service_world import SESSION, TENANT, memory_world, posted, scan, sqlite_world, submap
+from tests.support.service_world import (
+    SESSION,
+    TENANT,
+    memory_world,
+    posted,
+    postgres_world,
+    scan,
+    sqlite_world,
+    submap,
+)
 
 OTHER = TenantId("other")
 SCANS = 30
 
 
-@pytest.fixture(params=[memory_world, sqlite_world], ids=["memory", "sqlite"])
+@pytest.fixture(params=[memory_world, sqlite_world, postgres_world], ids=["memory", "sqlite", "postgres"])
 def world(request, tmp_path):
-    made = request.param() if request.param is memory_world else request.param(tmp_path)
+    made = request.param(tmp_path) if request.param is sqlite_world else request.param()
     yield made
     made.context.transactions.close()
 

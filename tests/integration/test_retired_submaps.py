@@ -17,15 +17,15 @@ from revisit.service.features.loops.decisions import ProposeLoop
 from revisit.service.features.resources.paging import PageRequest
 from revisit.service.features.retention.rules import RankedSubmap, retired
 from tests.support.retained import DAY_MS, HOUR_MS, driven, retained, stored_seqs
-from tests.support.service_world import SESSION, TENANT, described, memory_world, sqlite_world
+from tests.support.service_world import SESSION, TENANT, described, memory_world, postgres_world, sqlite_world
 
 TUESDAY, WEDNESDAY = SessionKey("town", "tuesday"), SessionKey("town", "wednesday")
 SCANS = 40
 
 
-@pytest.fixture(params=[memory_world, sqlite_world], ids=["memory", "sqlite"])
+@pytest.fixture(params=[memory_world, sqlite_world, postgres_world], ids=["memory", "sqlite", "postgres"])
 def world(request, tmp_path):
-    made = request.param() if request.param is memory_world else request.param(tmp_path)
+    made = request.param(tmp_path) if request.param is sqlite_world else request.param()
     yield made
     made.context.transactions.close()
 

@@ -30,11 +30,11 @@ from revisit.service.ports.transactions import UnitOfWork
 ACTOR = "retention"
 """The actor of removals in the audit log."""
 
-SCANS = 150
-SUBMAPS = 50
+SCANS = 80
+SUBMAPS = 30
 WINDOWS = 5
 """Submaps of which one transaction marks the scans that stay: each has hundreds."""
-LOOPS = 150
+LOOPS = 80
 """Of one transaction: none holds the lock of the writers for a tenth of a second."""
 
 
