@@ -23,12 +23,12 @@ from revisit.service.engines.local.sqlite.backup_key import own_key
 from revisit.service.engines.local.sqlite.examination import examine, scrub
 from revisit.service.engines.local.sqlite.row_checksums import damaged_rows
 from revisit.service.engines.local.vector_index import PlaceVectorIndex
+from revisit.service.features.index.caught_up_index import CaughtUpIndex
 from revisit.service.features.index.place_memory import SearchCriteria
 from revisit.service.features.resources.paging import PageRequest
 from tests.faults.drive import undisturbed
 from tests.support.figures import publish
 from tests.support.next_migration import NEXT_REVISION, migrations_with_a_next_step
-from tests.support.own_index import memory_over
 from tests.support.service_world import SESSION, TENANT, described, sqlite_world, submap
 from tests.support.stored_rows import run
 
@@ -140,9 +140,8 @@ async def test_a_submap_whose_descriptor_is_damaged_is_refused_by_itself_and_nob
         "WHERE submap_id = 'a'",
     )
     index = PlaceVectorIndex(FaissIndex)
-    memory = memory_over(world.context.transactions, index)
     (record,) = world.context.transactions.read(lambda uow: uow.maps.find(TENANT)).result()
-    memory.catch_up(TENANT, record.number)
+    CaughtUpIndex(world.context.transactions, index).catch_up(TENANT, record.number)
     rows = world.context.transactions.read(lambda uow: uow.submaps.find(TENANT)).result()
     sound = {row.submap_id: row.number for row in rows}
     assert index.numbers(record.number)[1].tolist() == [sound["b"], sound["c"]]

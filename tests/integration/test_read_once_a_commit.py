@@ -109,14 +109,15 @@ async def test_a_search_knows_what_another_process_described_or_deleted(world, e
 async def test_a_search_that_another_one_overtakes_answers_as_that_one_does(world, elsewhere, monkeypatch):
     searches, key = await three_places(world)
     await searches.by_submap(TENANT, key, SearchCriteria())
-    memory, index = searches._memory, searches._memory._index
+    caught_up = searches._memory._search
+    index = caught_up._index
     compare, gone = index.search, elsewhere.read(lambda uow: uow.submaps.get(TENANT, "town", "monday", "s1")).result()
 
     def overtaken(number, *asked):
         matches = compare(number, *asked)
         if index.size(number) == 3:
             elsewhere.write(lambda uow: _removed(uow, gone)).result()
-            memory.catch_up(TENANT, number)
+            caught_up.catch_up(TENANT, number)
         return matches
 
     monkeypatch.setattr(index, "search", overtaken)
