@@ -7,6 +7,7 @@ from alembic.autogenerate import compare_metadata
 from alembic.migration import MigrationContext
 from sqlalchemy import create_engine, inspect
 
+from revisit.service.domain.errors import StorageUncertain
 from revisit.service.engines import schema
 from revisit.service.engines.postgres import migration
 from revisit.service.engines.postgres.connections import server_url
@@ -117,3 +118,19 @@ def test_what_is_no_address_of_postgresql_is_refused():
     for address in ("mysql://host/name", "nonsense"):
         with pytest.raises(UnusableServer, match="REVISIT_DATABASE_URL"):
             server_url(address)
+
+
+@pytest.mark.parametrize("encoding", ["LATIN1", "SQL_ASCII"])
+def test_a_database_in_another_encoding_is_refused_with_what_to_do(postgres_url, encoding):
+    server = create_engine(postgres_url, isolation_level="AUTOCOMMIT")
+    with server.connect() as connection:
+        connection.exec_driver_sql("DROP DATABASE IF EXISTS otherwise")
+        connection.exec_driver_sql(f"CREATE DATABASE otherwise TEMPLATE template0 ENCODING '{encoding}' LOCALE 'C'")
+    server.dispose()
+    with pytest.raises(UnusableServer, match="TEMPLATE template0 ENCODING 'UTF8' LOCALE 'C'"):
+        migration.migrate(postgres_url.set(database="otherwise"))
+
+
+def test_a_server_that_does_not_answer_is_told_apart_from_one_that_cannot_be_used():
+    with pytest.raises(StorageUncertain, match="the database failed"):
+        migration.migrate(server_url("postgresql://nobody@127.0.0.1:1/none"))

@@ -15,7 +15,7 @@ READERS = 2
 """Threads that read for the event loop. Other threads read for themselves, each with a connection of its own."""
 
 MOST_READERS = 16
-CONNECT_S = 5
+CONNECTING = {"connect_timeout": 5, "application_name": "revisit", "client_encoding": "utf8"}
 POOL_S = 5.0
 
 LOCK_MS = 2000
@@ -66,7 +66,7 @@ def _engine(url: URL, *, pool_size: int, max_overflow: int) -> Engine:
         max_overflow=max_overflow,
         pool_timeout=POOL_S,
         # Transactions are begun here, in one round trip with their limits.
-        connect_args={"autocommit": True, "connect_timeout": CONNECT_S, "application_name": "revisit"},
+        connect_args={"autocommit": True, **CONNECTING},
     )
 
 

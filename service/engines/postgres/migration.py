@@ -17,7 +17,7 @@ from sqlalchemy.pool import NullPool
 
 from revisit.service.domain.errors import StorageUncertain
 from revisit.service.engines import schema
-from revisit.service.engines.postgres.connections import CONNECT_S, OLDEST
+from revisit.service.engines.postgres.connections import CONNECTING, OLDEST
 from revisit.service.engines.postgres.failures import LOCKED, sqlstate, translated
 from revisit.service.engines.schema import ForeignSchema, UnusableServer
 
@@ -71,7 +71,7 @@ def require_fitting(url: URL) -> None:
 
 
 def _engine(url: URL) -> Engine:
-    return create_engine(url, poolclass=NullPool, connect_args={"connect_timeout": CONNECT_S})
+    return create_engine(url, poolclass=NullPool, connect_args={**CONNECTING})
 
 
 def _patiently(engine: Engine, revision: str) -> None:
@@ -112,8 +112,9 @@ def _require_usable(connection: Connection) -> None:
     version = connection.dialect.server_version_info or (0,)
     if version < OLDEST:
         raise UnusableServer(f"the server is PostgreSQL {version[0]}, and at least {OLDEST[0]} is needed")
-    query = "SELECT datcollate, pg_encoding_to_char(encoding) FROM pg_database WHERE datname = current_database()"
-    collation, encoding = connection.exec_driver_sql(query).one()
+    query = "SELECT datlocprovider, datcollate, pg_encoding_to_char(encoding) FROM pg_database WHERE datname = "
+    provider, collation, encoding = connection.exec_driver_sql(f"{query} current_database()").one()
+    collation = {"b": "C", "i": "the rules of a language (ICU)"}.get(provider, collation)
     if collation not in BY_CODE_POINT or encoding != "UTF8":
         raise UnusableServer(
             f"the database is in {encoding} and orders text by {collation}. "
