@@ -94,6 +94,25 @@ async def test_the_best_of_a_place_stay_and_the_map_is_as_it_was(world):
     assert await retained(world) == report
 
 
+async def test_a_stricter_policy_retires_more_of_the_same_version(world):
+    await twice_driven(world)
+    await retained(world, "best=2")
+    of_two = len(await of_state(world, SubmapState.RETIRED))
+    await retained(world, "best=1")
+    assert len(await of_state(world, SubmapState.RETIRED)) > of_two
+
+
+async def test_what_a_review_held_goes_once_it_is_decided(world):
+    await twice_driven(world)
+    loop = await first_pair(world, state="REJECTED", reason="AMBIGUOUS")
+    held = await retained(world, "best=1")
+    work = world.context.transactions
+    decided = work.read(lambda uow: uow.loops.get(TENANT, "town", loop.loop_id)).result()
+    work.write(lambda uow: uow.loops.replace(replace(decided, reason="OVERRULED"))).result()
+    again = await retained(world)
+    assert held.submaps_held > 0 and again.submaps_held == 0 and again.rules[0].submaps <= held.submaps_held
+
+
 async def test_a_retired_submap_is_out_of_the_index_and_says_so(world):
     await twice_driven(world)
     await retained(world, "best=1")

@@ -16,7 +16,7 @@ from revisit.service.domain.identity import TenantId
 from revisit.service.domain.policy import Policy
 from revisit.service.domain.records import LoopRecord, MapRecord, ScanRecord, SessionRecord
 from revisit.service.domain.retention import KEEPS_ALL, KeptScans, RetentionPolicy, RetentionRule
-from revisit.service.domain.states import EventKind
+from revisit.service.domain.states import EventKind, SessionState
 from revisit.service.failpoints import failpoint
 from revisit.service.features.audit import calls as audit
 from revisit.service.features.audit.calls import AuditEntry
@@ -55,7 +55,7 @@ class Retention:
         self._clock = clock
         self._rules = rules
         self._known = set[int]()
-        self._ranked = dict[int, int]()
+        self._ranked = dict[int, tuple[int, int | None, int]]()
 
     async def all(self) -> None:
         """One run over every map of every tenant."""
@@ -76,9 +76,12 @@ class Retention:
         """Remove what the policy of a map does not keep, and note what was removed."""
         run = _Run(self._storage, self._rules, record, policy, self._clock.wall_ns())
         await run.sessions()
-        if self._ranked.get(record.number) != record.map_version:
+        active = await self._storage.read(partial(_active_sessions, record=record))
+        ranked = (record.map_version, policy.best_submaps, active)
+        if self._ranked.get(record.number) != ranked:
             await run.best_submaps()
-            self._ranked[record.number] = record.map_version
+        if not run.held_back:
+            self._ranked[record.number] = ranked
         await run.scans(leftovers=record.number not in self._known)
         await run.rejected_loops()
         self._known.add(record.number)
@@ -103,7 +106,7 @@ class _Run:
         self._now_ns = now_ns
         self._tally = Tally()
         self._held: frozenset[int] | None = None
-        self._held_back = set[int]()
+        self.held_back = set[int]()
         self._sessions_held = 0
         self._touched = dict[str, RetentionRule]()
 
@@ -141,7 +144,7 @@ class _Run:
 
     async def _retire(self, rule: RetentionRule, numbers: Sequence[int]) -> None:
         held = await self._under_review() if numbers else frozenset[int]()
-        self._held_back |= held.intersection(numbers)
+        self.held_back |= held.intersection(numbers)
         for some in portions((one for one in numbers if one not in held), removal.SUBMAPS):
             removed, freed = await self._removed(partial(removal.retire, record=self._map, numbers=some))
             self._tally.add(rule, submaps=removed, bytes=freed + removed * SUBMAP_ROW_BYTES)
@@ -164,7 +167,7 @@ class _Run:
         numbers = due_for_release(standings, self._policy, self._now_ns, ())
         if numbers:
             held = await self._under_review()
-            self._held_back |= held.intersection(numbers)
+            self.held_back |= held.intersection(numbers)
             numbers = [one for one in numbers if one not in held]
         some_kept = self._policy.keep_scans is KeptScans.DESCRIBED
         release = partial(removal.release, record=self._map, kept=self._policy.keep_scans, rules=self._rules)
@@ -216,7 +219,7 @@ class _Run:
 
     async def noted(self) -> RetentionReport:
         """The report of the run; kept, told and audited where anything was removed."""
-        report = RetentionReport(self._now_ns, self._tally.outcomes(), len(self._held_back), self._sessions_held)
+        report = RetentionReport(self._now_ns, self._tally.outcomes(), len(self.held_back), self._sessions_held)
         if report.rules:
             await self._storage.write(partial(_note, record=self._map, report=report))
             log.info("retention", tenant=self._map.tenant, map=self._map.map_id, rules=report.stored()["rules"])
@@ -225,6 +228,10 @@ class _Run:
 
 def _map_page(uow: UnitOfWork, after: int) -> list[MapRecord]:
     return uow.maps.of_all_tenants(after=after, limit=MAPS_A_PAGE)
+
+
+def _active_sessions(uow: UnitOfWork, record: MapRecord) -> int:
+    return uow.sessions.count(record.tenant, map_id=record.map_id, state=SessionState.ACTIVE.value)
 
 
 def _sessions_of(uow: UnitOfWork, tenant: TenantId, numbers: Sequence[int]) -> set[str]:
