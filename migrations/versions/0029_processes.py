@@ -20,6 +20,7 @@ def upgrade() -> None:
         sa.Column("address", sa.String(255), nullable=False),
         sa.Column("ready", sa.Boolean, nullable=False),
         sa.Column("busy", sa.JSON, nullable=False),
+        sa.Column("came_ms", sa.BigInteger, nullable=False),
         sa.Column("seen_ms", sa.BigInteger, nullable=False),
     )
 

@@ -6,6 +6,9 @@ from typing import Protocol
 
 from revisit.service.domain.processes import LivingProcess, ProcessRole
 
+GONE_AFTER_MS = 8_000
+"""A process that did not show itself for so long is gone; where it comes back, it has come anew."""
+
 
 class ProcessLog(Protocol):
     """Which processes live, by the store's clock."""
@@ -15,7 +18,7 @@ class ProcessLog(Protocol):
         ...
 
     def alive(self, role: ProcessRole, within_ms: int) -> list[LivingProcess]:
-        """Those of a role seen within the last `within_ms` milliseconds, by id."""
+        """Those of a role seen within the last `within_ms` milliseconds, those that came first before others."""
         ...
 
     def forget(self, process_id: str) -> None:

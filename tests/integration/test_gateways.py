@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 from contextlib import ExitStack
 
 import pytest
@@ -13,7 +12,8 @@ from revisit.service.capacity.call_pace import CallPace
 from revisit.service.capacity.in_flight import InFlight
 from revisit.service.capacity.limits import CALL_POINTS, CapacityLimits, PaceLimits
 from revisit.service.domain.identity import TenantId
-from revisit.service.features.upkeep.gateways import ALIVE_WITHIN_MS, KEEPS_FOR_S, Gateways
+from revisit.service.features.upkeep.gateways import KEEPS_FOR_S, Gateways
+from revisit.service.ports.processes import GONE_AFTER_MS
 from tests.support.service_world import TENANT, memory_world
 
 
@@ -27,43 +27,51 @@ def gateway(world):
     return Gateways(world.context.storage, share, lambda: world.clock.ms / 1000), share
 
 
+async def shown(world, *gateways):
+    """Each shows itself, a millisecond after the other."""
+    for one in gateways:
+        world.clock.ms += 1
+        await one.show()
+
+
 async def test_a_gateway_alone_keeps_the_store_and_has_all_of_each_limit(world):
     alone, share = gateway(world)
+    await shown(world, alone)
     assert not alone.keeps
-    await alone.show()
+    await shown(world, alone)
     assert alone.keeps and share.gateways == 1
 
 
 async def test_the_gateway_that_came_first_keeps_the_store_and_the_next_one_once_it_is_gone(world):
-    made = []
-    for _ in range(3):
-        made.append(gateway(world))
-        await asyncio.sleep(0.002)
-    for one, _ in made[::-1]:
-        await one.show()
-    for one, _ in made:
-        await one.show()
-    assert [one.keeps for one, _ in made] == [True, False, False]
+    made = [gateway(world) for _ in range(3)]
+    gateways = [one for one, _ in made]
+    for _ in range(2):
+        await shown(world, *gateways)
+        assert sum(one.keeps for one in gateways) <= 1
+    assert [one.keeps for one in gateways] == [True, False, False]
     assert {share.gateways for _, share in made} == {3}
-    await made[0][0].leave()
-    for one, _ in made[1:]:
-        await one.show()
-    assert [one.keeps for one, _ in made] == [False, True, False]
+    await gateways[0].leave()
+    for _ in range(2):
+        await shown(world, *gateways[1:])
+    assert [one.keeps for one in gateways] == [False, True, False]
     assert {share.gateways for _, share in made[1:]} == {2}
 
 
-async def test_no_two_gateways_keep_the_store_while_one_stands_still(world):
-    (first, _), second = gateway(world), None
-    await asyncio.sleep(0.002)
-    second, _ = gateway(world)
-    await first.show()
-    await second.show()
+async def test_no_two_gateways_keep_the_store_while_one_stands_still_and_when_it_goes_on(world):
+    (first, _), (second, _) = gateway(world), gateway(world)
+    for _ in range(2):
+        await shown(world, first, second)
+    assert first.keeps
     for _ in range(12):
         assert not (first.keeps and second.keeps)
         world.clock.ms += 1000
         await second.show()
     assert second.keeps and not first.keeps
-    assert ALIVE_WITHIN_MS / 1000 > KEEPS_FOR_S
+    for _ in range(3):
+        await shown(world, first)
+        assert second.keeps and not first.keeps
+        await shown(world, second)
+    assert GONE_AFTER_MS / 1000 > KEEPS_FOR_S
 
 
 async def test_only_the_keeper_does_the_chores_of_all(world):
@@ -72,12 +80,10 @@ async def test_only_the_keeper_does_the_chores_of_all(world):
     async def chore():
         done.append(True)
 
-    first, _ = gateway(world)
-    await asyncio.sleep(0.002)
-    second, _ = gateway(world)
-    for one in (first, second):
-        await one.show()
-    for one in (first, second):
+    gateways = [gateway(world)[0] for _ in range(2)]
+    for _ in range(2):
+        await shown(world, *gateways)
+    for one in gateways:
         await one.of_keeper(chore)()
     assert done == [True]
 

@@ -7,6 +7,7 @@ from sqlalchemy import Connection, delete, insert, select
 from revisit.service.domain.processes import LivingProcess, ProcessRole
 from revisit.service.engines.sql import tables
 from revisit.service.engines.sql.engine import DatabaseEngine
+from revisit.service.ports.processes import GONE_AFTER_MS
 
 
 class SqlProcessLog:
@@ -19,6 +20,9 @@ class SqlProcessLog:
 
     def announce(self, process: LivingProcess) -> None:
         """See `ProcessLog`."""
+        rows, now_ms = tables.processes.c, self._engine.now_ms(self._connection)
+        known = rows.process_id == process.process_id, rows.seen_ms >= now_ms - GONE_AFTER_MS
+        came_ms = self._connection.execute(select(rows.came_ms).where(*known)).scalar()
         self.forget(process.process_id)
         row = {
             "process_id": process.process_id,
@@ -26,7 +30,8 @@ class SqlProcessLog:
             "address": process.address,
             "ready": process.ready,
             "busy": sorted(process.busy),
-            "seen_ms": self._engine.now_ms(self._connection),
+            "came_ms": now_ms if came_ms is None else came_ms,
+            "seen_ms": now_ms,
         }
         self._connection.execute(insert(tables.processes), row)
 
@@ -34,7 +39,9 @@ class SqlProcessLog:
         """See `ProcessLog`."""
         rows, since_ms = tables.processes.c, self._engine.now_ms(self._connection) - within_ms
         query = (
-            select(tables.processes).where(rows.role == role.value, rows.seen_ms >= since_ms).order_by(rows.process_id)
+            select(tables.processes)
+            .where(rows.role == role.value, rows.seen_ms >= since_ms)
+            .order_by(rows.came_ms, rows.process_id)
         )
         return [
             LivingProcess(row.process_id, role, row.address, row.ready, frozenset(row.busy))

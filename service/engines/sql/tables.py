@@ -512,6 +512,7 @@ processes = Table(
     Column("address", String(255), nullable=False),
     Column("ready", Boolean, nullable=False),
     Column("busy", JSON, nullable=False),
+    Column("came_ms", BigInteger, nullable=False),
     Column("seen_ms", BigInteger, nullable=False),
 )
 

@@ -8,14 +8,12 @@ from collections.abc import Awaitable, Callable
 
 from revisit.service.capacity.budget import GatewayShare
 from revisit.service.domain.processes import LivingProcess, ProcessRole
+from revisit.service.ports.processes import GONE_AFTER_MS
 from revisit.service.ports.storage import Storage
 from revisit.service.ports.transactions import UnitOfWork
 
 SHOWN_EVERY_S = 1.0
 """How often a gateway shows itself."""
-
-ALIVE_WITHIN_MS = 8_000
-"""A gateway that did not show itself for so long counts no more, and another one keeps the store."""
 
 KEEPS_FOR_S = 5.0
 """A keeper that could not show itself for so long begins no chore: it has ended by the time another one keeps."""
@@ -29,14 +27,14 @@ class Gateways:
         self._storage = storage
         self._share = share
         self._now_s = now_s
-        self._me = LivingProcess(f"{time.time_ns() // 1_000_000:014d}-{secrets.token_hex(4)}", ProcessRole.GATEWAY)
-        self._first = False
+        self._me = LivingProcess(f"gateway-{secrets.token_hex(4)}", ProcessRole.GATEWAY)
+        self._first = self._was_first = False
         self._shown_at_s = float("-inf")
 
     @property
     def keeps(self) -> bool:
-        """Whether this gateway keeps the store."""
-        return self._first and self._now_s() - self._shown_at_s < KEEPS_FOR_S
+        """Whether this gateway keeps the store: whether it was the first of them the last two times."""
+        return self._first and self._was_first and self._now_s() - self._shown_at_s < KEEPS_FOR_S
 
     async def show(self) -> None:
         """Show itself, and see who else is there."""
@@ -44,7 +42,7 @@ class Gateways:
         await self._storage.write(lambda uow: uow.processes.announce(self._me))
         living = await self._storage.read(_gateways)
         self._share.gateways = max(1, len(living))
-        self._first = living[:1] == [self._me]
+        self._was_first, self._first = self._first, living[:1] == [self._me]
         self._shown_at_s = began_s
 
     async def leave(self) -> None:
@@ -63,4 +61,4 @@ class Gateways:
 
 
 def _gateways(uow: UnitOfWork) -> list[LivingProcess]:
-    return uow.processes.alive(ProcessRole.GATEWAY, ALIVE_WITHIN_MS)
+    return uow.processes.alive(ProcessRole.GATEWAY, GONE_AFTER_MS)

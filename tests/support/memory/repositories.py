@@ -26,6 +26,7 @@ from revisit.service.domain.states import EventKind, LoopState, OperationState, 
 from revisit.service.domain.webhooks import News, WebhookRecord
 from revisit.service.ports.clock import Clock
 from revisit.service.ports.index import IndexChange
+from revisit.service.ports.processes import GONE_AFTER_MS
 from revisit.service.ports.repositories import FoundSubmap, PathPoint, PlacedSubmap, SubmapStanding, Waiting
 
 R = TypeVar("R")
@@ -520,15 +521,18 @@ class MemoryProcessLog:
 
     def announce(self, process: LivingProcess) -> None:
         """See `ProcessLog`."""
+        now_ms = self._clock.monotonic_ms()
+        known = [row for row in self._rows.by_number.values() if row[0].process_id == process.process_id]
+        came_ms = known[0][1] if known and known[0][2] >= now_ms - GONE_AFTER_MS else now_ms
         self.forget(process.process_id)
         self._rows.last += 1
-        self._rows.by_number[self._rows.last] = (process, self._clock.monotonic_ms())
+        self._rows.by_number[self._rows.last] = (process, came_ms, now_ms)
 
     def alive(self, role: ProcessRole, within_ms: int) -> list[LivingProcess]:
         """See `ProcessLog`."""
         since_ms = self._clock.monotonic_ms() - within_ms
-        seen = [process for process, seen_ms in self._rows.by_number.values() if seen_ms >= since_ms]
-        return sorted((one for one in seen if one.role is role), key=lambda process: process.process_id)
+        seen = [row for row in self._rows.by_number.values() if row[2] >= since_ms and row[0].role is role]
+        return [process for process, *_ in sorted(seen, key=lambda row: (row[1], row[0].process_id))]
 
     def forget(self, process_id: str) -> None:
         """See `ProcessLog`."""
