@@ -15,6 +15,7 @@ from revisit.service.engines.local.sqlite.connections import write_ahead_log
 from revisit.service.engines.local.sqlite.free_pages import FreePages
 from revisit.service.engines.local.sqlite.transactions import StorageFailures
 from revisit.service.engines.state import state_of
+from revisit.service.features.retention.steady_time import SteadyTime
 from revisit.service.features.upkeep.chores import Chore
 from revisit.service.features.upkeep.forgetting import forget_answers, forget_events, forget_workers
 from revisit.service.features.upkeep.gateways import SHOWN_EVERY_S, Gateways
@@ -81,6 +82,13 @@ def _of_store(settings: Settings, context: ServiceContext) -> Iterator[Chore]:
     async def collect_blobs() -> None:
         await collect(context.storage)
 
+    steady = SteadyTime(context.clock)
+
+    async def retain() -> None:
+        now_ns = steady.now_ns()
+        if now_ns is not None:
+            await context.retention.all(now_ns)
+
     async def forget() -> None:
         await forget_answers(context.storage, context.clock)
         await forget_workers(context.storage)
@@ -91,7 +99,7 @@ def _of_store(settings: Settings, context: ServiceContext) -> Iterator[Chore]:
     yield Chore("sweep_blobs", SWEEP_EVERY_S, sweep_blobs)
     yield Chore("collect_blobs", COLLECT_EVERY_S, collect_blobs)
     yield Chore("erase_deleted", ERASE_EVERY_S, context.erasure.all, close=context.erasure.close)
-    yield Chore("retention", RETAIN_EVERY_S, context.retention.all)
+    yield Chore("retention", RETAIN_EVERY_S, retain)
     yield Chore("forget_answers", FORGET_ANSWERS_EVERY_S, forget)
     yield Chore("forget_events", FORGET_EVENTS_EVERY_S, forget_old_events)
     yield Chore("deliver_webhooks", DELIVER_WEBHOOKS_EVERY_S, deliveries.deliver_due, close=deliveries.close)

@@ -57,12 +57,12 @@ class Retention:
         self._known = set[int]()
         self._ranked = dict[int, tuple[int, int | None, int]]()
 
-    async def all(self) -> None:
-        """One run over every map of every tenant."""
+    async def all(self, now_ns: int | None = None) -> None:
+        """One run over every map of every tenant, as of `now_ns`; the wall clock's time by default."""
         async for record in self._maps():
             policy = policy_of(record, self._rules)
             if policy != KEEPS_ALL:
-                await self.of_map(record, policy)
+                await self.of_map(record, policy, now_ns)
 
     async def _maps(self) -> AsyncIterator[MapRecord]:
         after: int | None = 0
@@ -72,9 +72,10 @@ class Retention:
                 yield record
             after = page[-1].number if len(page) == MAPS_A_PAGE else None
 
-    async def of_map(self, record: MapRecord, policy: RetentionPolicy) -> RetentionReport:
+    async def of_map(self, record: MapRecord, policy: RetentionPolicy, now_ns: int | None = None) -> RetentionReport:
         """Remove what the policy of a map does not keep, and note what was removed."""
-        run = _Run(self._storage, self._rules, record, policy, self._clock.wall_ns())
+        as_of_ns = self._clock.wall_ns() if now_ns is None else now_ns
+        run = _Run(self._storage, self._rules, record, policy, as_of_ns)
         await run.sessions()
         active = await self._storage.read(partial(_active_sessions, record=record))
         ranked = (record.map_version, policy.best_submaps, active)
