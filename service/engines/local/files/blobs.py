@@ -55,7 +55,9 @@ class FileBlobStore:
         self._root = root
         self._fail_stop = fail_stop or FailStop()
         self._on_full = on_full
-        root.mkdir(parents=True, exist_ok=True, mode=0o700)
+        if not root.is_dir():
+            root.mkdir(parents=True, exist_ok=True, mode=0o700)
+            sync_directory(root.parent)
 
     def put(self, tenant: TenantId, kind: str, data: bytes) -> str:
         """See `BlobStore`."""
