@@ -31,7 +31,7 @@ ADVICE = {
     "SEQ_GAP": "Send the scan of `expected_seq` next; the SDK does so.",
     "STREAM_FENCED": "Let only one client stream a session; the newest one keeps it.",
     "QUOTA": "Delete sessions or maps that you do not need, or ask for more room; then send the same again.",
-    "RATE": "Read the answers of your stream.",
+    "RATE": "Wait for `Retry-After` and send the same again, fewer at a time; of a stream, read its answers.",
     "WORKERS_BUSY": "Wait for `Retry-After` and send the same again; add workers if this stays.",
     "DRAINING": "Send the same again to the service that comes back.",
     "STORAGE_UNCERTAIN": "Send the same again with the same ids: that settles whether it was stored.",

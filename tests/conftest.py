@@ -63,7 +63,8 @@ def pytest_make_collect_report() -> Iterator[None]:
 @pytest.fixture(autouse=True)
 def _service_log() -> None:
     """Services inside the test process do not write between what a command prints."""
-    structlog.configure(logger_factory=structlog.stdlib.LoggerFactory())
+    # Not cached: a logger that is kept from one test writes past the capture of the next.
+    structlog.configure(logger_factory=structlog.stdlib.LoggerFactory(), cache_logger_on_first_use=False)
 
 
 @pytest.fixture

@@ -59,7 +59,7 @@ def _on_postgresql() -> bool:
 
 
 def _table(name: str, *parts: sa.Column | sa.Constraint) -> None:
-    """A table whose rows have a checksum, but for the audit log: its rows have a chain of hashes (decision 0315)."""
+    """A table whose rows have a checksum, but for the audit log: its rows have a chain of hashes (decision 0032)."""
     checksum = () if name == "audit_log" else (_big("checksum", null=True),)
     columns = [part for part in parts if isinstance(part, sa.Column)]
     sa.Table(name, schema, *columns, *checksum, *parts[len(columns) :], sqlite_autoincrement=True)

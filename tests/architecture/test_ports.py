@@ -30,7 +30,7 @@ LARGER = {
     "PlaceRecogniser": 7,
     "BlobStore": 7,
 }
-"""Members of the ports that are too large: a debt, which may shrink only. An adapter has to write all of them."""
+"""Members of the ports that are large. An adapter has to write all of them: a number here grows only with a reason."""
 
 
 def ports() -> list[type]:

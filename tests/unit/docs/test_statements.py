@@ -6,6 +6,8 @@ import re
 from pathlib import Path
 
 from revisit.cli.keys import revoke_key
+from revisit.service import VERSION
+from revisit.service.engines.schema import NEWEST_REVISION
 from revisit.service.features.keys.admission import STREAM_ENDS_WITHIN_S, STREAM_RECHECK_S
 from revisit.service.settings import Settings
 
@@ -43,3 +45,7 @@ def test_the_two_counts_of_keypoints_are_told_apart():
     told = page("how-to/read-an-answer.md")
     assert "`evidence.measurement.inliers` | keypoints that agree on a first guess of the pose" in told
     assert "with the final pose" in page("how-to/look-at-a-map.md")
+
+
+def test_the_schema_that_a_downgrade_names_is_that_of_the_release():
+    assert f"The schema of {VERSION} is {NEWEST_REVISION}." in page("reference/stability.md")
