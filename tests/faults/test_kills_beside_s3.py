@@ -28,7 +28,7 @@ def server(tmp_path):
     server.kill()
 
 
-@pytest.mark.parametrize("kills", sizes("KILLS", 1, 300))
+@pytest.mark.parametrize("kills", sizes("KILLS", 1, 300)[1:])
 @pytest.mark.timeout(7200)
 def test_nothing_is_acknowledged_whose_blob_is_not_in_the_bucket(server, tmp_path, monkeypatch, kills):
     rng, campaign, bucket = random.Random(36), Campaign("P1 with S3", kills), f"s3://{server.new_bucket()}/fleet"

@@ -57,6 +57,7 @@ def disk_bytes_of_database(home) -> int:
     return sum(path.lstat().st_blocks * 512 for path in home.glob("revisit.db*"))
 
 
+@pytest.mark.slow
 async def test_a_database_whose_pages_were_given_back_is_whole(tmp_path):
     world = sqlite_world(tmp_path)
     await driven(world, SCANS)

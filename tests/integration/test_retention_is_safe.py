@@ -65,6 +65,7 @@ async def test_a_run_that_was_cut_off_is_finished_by_the_next_process(world, poi
     assert run(world.home / "revisit.db", "PRAGMA foreign_key_check") == []
 
 
+@pytest.mark.slow
 async def test_no_transaction_of_a_run_changes_many_rows(world, monkeypatch):
     await driven_and_due(world, 700)
     changed, transaction = [], SqliteTransactions._transaction

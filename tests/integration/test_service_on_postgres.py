@@ -73,7 +73,7 @@ def test_a_server_that_is_away_is_told_and_nothing_is_stored_until_it_is_back(tm
         assert town.append(2) == 2
 
 
-@pytest.mark.parametrize("killed", ["gateway", "server"])
+@pytest.mark.parametrize("killed", [pytest.param("gateway", marks=pytest.mark.slow), "server"])
 def test_no_scan_is_lost_or_stored_twice_whoever_is_killed_while_scans_come_in(tmp_path, own_postgres, killed):
     url = own_postgres.made_database()
     with running_town(tmp_path / "home", database_url=address(url), workers=0) as town:
