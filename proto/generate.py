@@ -25,7 +25,8 @@ def generate(out: Path) -> None:
     """Write `*_pb2.py`, `*_pb2.pyi`, for files with services `*_pb2_grpc.py`, and `comments.py` under `out`."""
     public = sorted(PROTO.glob("revisit/v1/*.proto"))
     sources = [*public, *sorted(PROTO.glob("revisit/internal/v1/*.proto"))]
-    services = [path for path in sources if re.search(r"^service ", path.read_text(), re.MULTILINE)]
+    # The calls between processes are registered by name: they need no stubs (service/search).
+    services = [path for path in public if re.search(r"^service ", path.read_text(), re.MULTILINE)]
     _run("protoc", *INCLUDE, f"--python_out={out}", f"--pyi_out={out}", *map(str, sources))
     _run("protoc", *INCLUDE, f"--grpc_python_out={out}", *map(str, services))
     write_comments(out / "revisit/v1/comments.py", public)

@@ -8,7 +8,7 @@ import random
 import signal
 import threading
 import time
-from contextlib import ExitStack
+from contextlib import ExitStack, closing
 
 import httpx
 import pytest
@@ -70,9 +70,9 @@ class Cluster:
         self.server, self.url = server, server.made_database()
         address = self.url.render_as_string(hide_password=False)
         settings = {**SETTINGS, "database_url": address}
-        self.gateways = [stack.enter_context(_ended(ServiceProcess(home, workers=0, **settings))) for _ in range(2)]
-        self.workers = [stack.enter_context(_ended(WorkersProcess(home, workers=2, **settings)))]
-        self.searches = [stack.enter_context(_ended(SearchProcess(home, **settings))) for _ in range(2)]
+        self.gateways = [stack.enter_context(closing(ServiceProcess(home, workers=0, **settings))) for _ in range(2)]
+        self.workers = [stack.enter_context(closing(WorkersProcess(home, workers=2, **settings)))]
+        self.searches = [stack.enter_context(closing(SearchProcess(home, **settings))) for _ in range(2)]
 
     def kill_one(self, rng):
         """Kill a process, or now and then the database, and start it again."""
@@ -93,17 +93,6 @@ class Cluster:
             found = connection.execute(text(query)).all()
         engine.dispose()
         return found
-
-
-class _ended:
-    def __init__(self, process):
-        self._process = process
-
-    def __enter__(self):
-        return self._process
-
-    def __exit__(self, *_):
-        self._process.close()
 
 
 def worked_off(cluster):
