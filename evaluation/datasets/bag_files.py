@@ -3,49 +3,71 @@
 from __future__ import annotations
 
 import re
+import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from revisit.core.errors import BadField, UnsupportedEncoding
+import zstandard
+
+from revisit.core.errors import BadField, MalformedBody, TooLarge, UnsupportedEncoding
 from revisit.evaluation.datasets.bag1 import Bag1File
-from revisit.evaluation.datasets.bag_message import Bag, Message, Place
+from revisit.evaluation.datasets.bag_message import MAX_CHUNK_BYTES, Bag, Message, Place
 from revisit.evaluation.datasets.db3 import Db3File
 from revisit.evaluation.datasets.mcap import McapFile
+from revisit.formats.cloud import decompress_zstd
 
 SUFFIXES = (".mcap", ".db3", ".bag")
 _METADATA = "metadata.yaml"
-_PACKED = (".zstd", ".zst", ".gz", ".bz2", ".lz4", ".xz")
+_ZSTD = (".zstd", ".zst")
+_OTHERWISE_PACKED = (".gz", ".bz2", ".lz4", ".xz")
+_ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 _DATE = re.compile(r"_[0-9]{4}(-[0-9]{2}){5}$")
 _LISTED = re.compile(r"^\s*-\s+['\"]?(?P<file>[^'\"]+?)['\"]?\s*$")
 
 
 class SplitBag:
-    """Several files of one recording. A message's place tells its file."""
+    """Several files of one recording. A message's place tells its file.
 
-    def __init__(self, bags: Sequence[Bag]) -> None:
+    Messages that ROS 2 compressed one by one are unpacked. `scratch` holds files that were, and goes with the bag.
+    """
+
+    def __init__(self, bags: Sequence[Bag], scratch: tempfile.TemporaryDirectory[str] | None = None) -> None:
         self.topics: dict[str, str] = {}
         self.cut = ""
         self.damaged = 0
-        self._bags = bags
+        self._bags, self._scratch = bags, scratch
 
     def messages(self) -> Iterator[Message]:
         """All messages, file by file. Raises MalformedBody, UnsupportedEncoding."""
         for number, bag in enumerate(self._bags):
             for message in bag.messages():
-                yield replace(message, place=replace(message.place, file=number))
+                yield replace(message, data=_unpacked(message.data), place=replace(message.place, file=number))
             self.topics.update(bag.topics)
             self.cut = self.cut or bag.cut
             self.damaged += bag.damaged
 
     def data(self, place: Place) -> bytes:
         """The bytes of a message."""
-        return self._bags[place.file].data(place)
+        return _unpacked(self._bags[place.file].data(place))
+
+
+def _unpacked(message: bytes) -> bytes:
+    """A message without the compression of ROS 2; a damaged one as it is, which then cannot be read.
+
+    The encapsulation header of CDR begins with a zero, and a ROS 1 header with a count: neither is zstd's magic.
+    """
+    if not message.startswith(_ZSTD_MAGIC):
+        return message
+    try:
+        return decompress_zstd(message, MAX_CHUNK_BYTES)
+    except (MalformedBody, TooLarge):
+        return message
 
 
 def is_bag(path: Path) -> bool:
     """Whether a file is a bag by its name, or a folder holds one."""
-    return path.suffix.lower() in SUFFIXES if path.is_file() else bool(_bags_in(path))
+    return _suffix(path) in SUFFIXES if path.is_file() else bool(_bags_in(path))
 
 
 def bags_out_of_sight(folder: Path) -> str:
@@ -53,7 +75,9 @@ def bags_out_of_sight(folder: Path) -> str:
     unfinished = sorted(folder.glob("*.bag.active"))
     if unfinished:
         return f"{unfinished[0].name} was not finished: rename it to .bag, then it is read as far as it goes"
-    packed = sorted(file for suffix in SUFFIXES for file in folder.glob(f"*{suffix}.*") if file.suffix in _PACKED)
+    packed = sorted(
+        file for suffix in SUFFIXES for file in folder.glob(f"*{suffix}.*") if file.suffix in _OTHERWISE_PACKED
+    )
     if packed:
         return f"{packed[0].name} is compressed as a file: unpack it first"
     deeper = sorted({file.parent for suffix in SUFFIXES for file in folder.glob(f"*/**/*{suffix}")})
@@ -67,17 +91,47 @@ def open_files(files: Sequence[Path], types: tuple[str, ...]) -> SplitBag:
         ".bag": Bag1File,
         ".db3": lambda file: Db3File(file, types),
     }
-    return SplitBag([openers[file.suffix.lower()](file) for file in files])
+    scratch = None
+    if any(_is_packed(file) for file in files):
+        scratch = tempfile.TemporaryDirectory(prefix="revisit-bag-")
+        files = [_unpacked_file(file, Path(scratch.name)) for file in files]
+    return SplitBag([openers[_suffix(file)](file) for file in files], scratch)
+
+
+def _unpacked_file(file: Path, folder: Path) -> Path:
+    """The file itself, or, for one that is compressed as a whole, its content in `folder`. Raises MalformedBody."""
+    if not _is_packed(file):
+        return file
+    unpacked = folder / _plain(file).name
+    try:
+        with file.open("rb") as packed, unpacked.open("wb") as plain:
+            zstandard.ZstdDecompressor().copy_stream(packed, plain)
+    except zstandard.ZstdError as error:
+        raise MalformedBody(f"{file.name} is damaged: its zstd data cannot be unpacked") from error
+    return unpacked
+
+
+def _is_packed(file: Path) -> bool:
+    return file.suffix.lower() in _ZSTD
+
+
+def _plain(file: Path) -> Path:
+    """The name of a file without the ending that says it is compressed."""
+    return file.with_suffix("") if _is_packed(file) else file
+
+
+def _suffix(file: Path) -> str:
+    """The kind of a bag by its name."""
+    return _plain(file).suffix.lower()
 
 
 def bag_files(path: Path) -> list[Path]:
     """The files of the bag at `path`, a file or a folder, in their order.
 
-    Raises FileNotFoundError where there are none, BadField for several bags or parts that are not all there,
-    UnsupportedEncoding where the files or messages as such are compressed.
+    Raises FileNotFoundError where there are none, BadField for several bags or parts that are not all there.
     """
     if path.is_file():
-        if path.suffix.lower() not in SUFFIXES:
+        if _suffix(path) not in SUFFIXES:
             raise BadField(f"{path.name} is no {', '.join(SUFFIXES)} file", field="folder")
         return [path]
     if (path / _METADATA).is_file():
@@ -100,11 +154,6 @@ def bag_files(path: Path) -> list[Path]:
 def _listed(folder: Path) -> list[Path]:
     """The files that the metadata of a ROS 2 bag lists."""
     text = (folder / _METADATA).read_text(errors="replace")
-    if re.search(r"^\s*compression_mode:\s*['\"]?(file|message)\b", text, re.MULTILINE | re.IGNORECASE):
-        raise UnsupportedEncoding(
-            f"{folder.name} is compressed by file or message: rewrite it with `ros2 bag convert`, uncompressed or with "
-            "the chunks of MCAP compressed"
-        )
     _, _, after = text.partition("relative_file_paths:\n")
     names = []
     for line in after.splitlines():
@@ -114,7 +163,8 @@ def _listed(folder: Path) -> list[Path]:
     if not names:
         raise BadField(f"{_METADATA} lists no files: name one of the bags in {folder}", field="folder")
     parts = {_numbered(folder / name)[0] for name in names}
-    left = [file.name for file in _bags_in(folder) if file.name not in names and _numbered(file)[0] in parts]
+    listed = {_plain(folder / name) for name in names}
+    left = [file.name for file in _bags_in(folder) if _plain(file) not in listed and _numbered(file)[0] in parts]
     if left:
         raise BadField(
             f"{_METADATA} does not list {left[0]}, which lies beside the parts that it lists: "
@@ -125,7 +175,7 @@ def _listed(folder: Path) -> list[Path]:
 
 
 def _existing(file: Path) -> Path:
-    if file.suffix.lower() not in SUFFIXES:
+    if _suffix(file) not in SUFFIXES:
         raise UnsupportedEncoding(f"{file.name} is no {', '.join(SUFFIXES)} file")
     if not file.is_file():
         raise FileNotFoundError(f"{_METADATA} lists {file.name}, which is not in {file.parent}")
@@ -133,7 +183,7 @@ def _existing(file: Path) -> Path:
 
 
 def _bags_in(folder: Path) -> list[Path]:
-    return sorted((file for file in folder.glob("*") if file.suffix.lower() in SUFFIXES), key=_numbered)
+    return sorted((file for file in folder.glob("*") if _suffix(file) in SUFFIXES), key=_numbered)
 
 
 def _numbered(file: Path) -> tuple[str, int]:
@@ -141,7 +191,7 @@ def _numbered(file: Path) -> tuple[str, int]:
 
     The date that `rosbag record --split` writes before the number, another one for each part, is no part of the name.
     """
-    name, _, number = file.stem.rpartition("_")
+    name, _, number = _plain(file).stem.rpartition("_")
     if not (name and number.isdecimal()):
         return file.name, -1
-    return f"{_DATE.sub('', name)}{file.suffix}", int(number)
+    return f"{_DATE.sub('', name)}{_suffix(file)}", int(number)

@@ -32,6 +32,7 @@ class CloudTopic:
     """Clouds of one topic: when and where in the bag each was found, and the frame that its header names."""
 
     name: str
+    message_type: str
     encoding: Encoding
     stamps: list[int] = field(default_factory=list)
     places: list[Place] = field(default_factory=list)
@@ -52,7 +53,7 @@ class CloudTopic:
         """The clouds of each frame apart: those of several sensors may come on one topic."""
         parts: dict[str, CloudTopic] = {}
         for stamp, place, frame in zip(self.stamps, self.places, self.frames, strict=True):
-            part = parts.setdefault(frame, CloudTopic(self.name, self.encoding))
+            part = parts.setdefault(frame, CloudTopic(self.name, self.message_type, self.encoding))
             part.take(Header(stamp, frame), place)
         return list(parts.values())
 
@@ -151,7 +152,8 @@ class _Pass:
 
     def _cloud(self, message: Message) -> None:
         header = read_header(message.data, message.encoding)
-        topic = self.clouds.setdefault(message.topic, CloudTopic(message.topic, message.encoding))
+        new = CloudTopic(message.topic, message.message_type, message.encoding)
+        topic = self.clouds.setdefault(message.topic, new)
         topic.take(header, message.place)
 
 

@@ -1,4 +1,4 @@
-"""Bags of ROS 1 and ROS 2 (.bag, .mcap, .db3) with PointCloud2 and poses, read without ROS."""
+"""Bags of ROS 1 and ROS 2 (.bag, .mcap, .db3) with clouds and poses, read without ROS."""
 
 from __future__ import annotations
 
@@ -34,6 +34,7 @@ class BagRecording:
     name: str
     bag: Bag
     places: list[Place]
+    message_type: str
     encoding: Encoding
     T_world_sensor: NDArray[np.float64]
     T_sensor_cloud: NDArray[np.float64] | None
@@ -52,10 +53,11 @@ class BagRecording:
         """The scan with that index. Raises MalformedBody for a damaged message and as `Scan.validated` does."""
         message, stamp = self.bag.data(self.places[index]), int(self.stamps_ns[index])
         if self.T_sensor_cloud is None:
-            return Scan.validated(read_points(message, self.encoding), self.pose(index), stamp)
+            return Scan.validated(read_points(message, self.message_type, self.encoding), self.pose(index), stamp)
         # In UTM coordinates float32 has steps of 0.5 m: the points are rounded only once they are the sensor's.
         with np.errstate(over="ignore", invalid="ignore"):
-            points = se3.apply(self.T_sensor_cloud[index], read_coordinates(message, self.encoding)).astype(np.float32)
+            coordinates = read_coordinates(message, self.message_type, self.encoding)
+            points = se3.apply(self.T_sensor_cloud[index], coordinates).astype(np.float32)
         return Scan.validated(points, self.pose(index), stamp)
 
     def __iter__(self) -> Iterator[Scan]:
@@ -84,7 +86,8 @@ def open_bag(path: Path, wanted: WantedTopics = WantedTopics()) -> BagRecording:
     moved = parts[0].T_sensor_cloud
     name = files[0].stem if len(files) == 1 else path.resolve().name
     return BagRecording(
-        name, bag, [places[index] for index in order], pairs[0].clouds.encoding, T_world_sensor,
+        name, bag, [places[index] for index in order], pairs[0].clouds.message_type, pairs[0].clouds.encoding,
+        T_world_sensor,
         None if moved is None else moved[order], stamps, notes(pairs, found, wanted, stamps, len(files)),
         tuple(check_clocks(pairs, found)),
     )  # fmt: skip

@@ -13,9 +13,12 @@ from revisit.core.geometry import se3
 from revisit.core.scan import Points
 from revisit.evaluation.datasets.bag_message import Encoding
 from revisit.formats.cloud import CloudLimits
-from revisit.formats.pointcloud2 import PackedCloud, PointField, decode_coordinates, decode_packed
+from revisit.formats.pointcloud2 import FieldType, PackedCloud, PointField, decode_coordinates, decode_packed
 
-CLOUD_TYPES = ("sensor_msgs/msg/PointCloud2",)
+LIVOX_TYPES = tuple(
+    f"{package}/msg/CustomMsg" for package in ("livox_ros_driver2", "livox_ros_driver", "livox_interfaces")
+)
+CLOUD_TYPES = ("sensor_msgs/msg/PointCloud2", *LIVOX_TYPES)
 ODOMETRY = "nav_msgs/msg/Odometry"
 TRACKED = "geometry_msgs/msg/TransformStamped"
 POSE_TYPES = (ODOMETRY, TRACKED, "geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/PoseWithCovarianceStamped")
@@ -23,6 +26,8 @@ PATH_TYPES = ("nav_msgs/msg/Path",)
 TRANSFORM_TYPES = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 MAX_FIELDS = 64
 COORDINATES = ("x", "y", "z")
+LIVOX_POINT = tuple(PointField(name, 4 + 4 * index, FieldType.FLOAT32) for index, name in enumerate(COORDINATES))
+LIVOX_POINT_BYTES = 19
 MAX_TRANSFORMS = 10_000
 MAX_PATH_POSES = 10_000_000
 
@@ -74,12 +79,24 @@ class _Fields:
 
     def raw(self) -> bytes:
         """A sequence of bytes, or a string, in CDR with its final zero."""
-        length = int(self.number("I"))
-        if self._at + length > len(self._data):
+        return self.take(int(self.number("I")))
+
+    def take(self, size: int) -> bytes:
+        """The next `size` bytes."""
+        if self._at + size > len(self._data):
             raise MalformedBody("the message ends too early")
-        value = bytes(self._data[self._at : self._at + length])
-        self._at += length
+        value = bytes(self._data[self._at : self._at + size])
+        self._at += size
         return value
+
+    @property
+    def big_endian(self) -> bool:
+        """Whether numbers begin with their highest byte."""
+        return self._order == ">"
+
+    def padding(self, size: int, alignment: int) -> int:
+        """The bytes behind a value of `size` bytes up to the next multiple of `alignment`, where values are aligned."""
+        return -size % alignment if self._aligned else 0
 
     def text(self) -> str:
         """A string."""
@@ -107,20 +124,40 @@ def read_header(message: bytes, encoding: Encoding = "cdr") -> Header:
     return _Fields(message, encoding).header()
 
 
-def read_points(message: bytes, encoding: Encoding = "cdr") -> Points:
-    """The points (n, 3) of a sensor_msgs/PointCloud2. Raises MalformedBody, BadField, TooLarge."""
-    return decode_packed(_packed(message, encoding), CloudLimits()).points
+def read_points(message: bytes, message_type: str, encoding: Encoding = "cdr") -> Points:
+    """The points (n, 3) of a message of `CLOUD_TYPES`. Raises MalformedBody, BadField, TooLarge."""
+    return decode_packed(_packed(message, message_type, encoding), CloudLimits()).points
 
 
-def read_coordinates(message: bytes, encoding: Encoding = "cdr") -> NDArray[np.float64]:
+def read_coordinates(message: bytes, message_type: str, encoding: Encoding = "cdr") -> NDArray[np.float64]:
     """The points as `read_points` gives them, before they are rounded to float32."""
-    return decode_coordinates(_packed(message, encoding), CloudLimits())
+    return decode_coordinates(_packed(message, message_type, encoding), CloudLimits())
 
 
-def _packed(message: bytes, encoding: Encoding) -> PackedCloud:
+def _packed(message: bytes, message_type: str, encoding: Encoding) -> PackedCloud:
     """A cloud with its coordinates alone: faults of other fields cost no scan."""
     fields = _Fields(message, encoding)
     fields.header()
+    return _livox(fields) if message_type in LIVOX_TYPES else _point_cloud_2(fields)
+
+
+def _livox(fields: _Fields) -> PackedCloud:
+    """The cloud of a CustomMsg of Livox's drivers.
+
+    A point is a time since the first one (uint32, ns), x, y, z (float32, metres), reflectivity, tag and line (uint8
+    each): 19 bytes, which CDR aligns to 20 but for the last.
+    """
+    fields.number("Q")
+    fields.number("I")
+    fields.numbers("B", 4)
+    count = int(fields.number("I"))
+    step = LIVOX_POINT_BYTES + fields.padding(LIVOX_POINT_BYTES, 4)
+    size = max(count * step - (step - LIVOX_POINT_BYTES), 0)
+    data = fields.take(size) + bytes(count * step - size)
+    return PackedCloud(LIVOX_POINT, step, count, data, big_endian=fields.big_endian)
+
+
+def _point_cloud_2(fields: _Fields) -> PackedCloud:
     height, width = (int(value) for value in fields.numbers("I", 2))
     count = int(fields.number("I"))
     if count > MAX_FIELDS:

@@ -22,7 +22,6 @@ SAME_MOUNTING_M, SAME_MOUNTING_DEG = 0.02, 0.5
 """A mounting that is given is taken for the one that the transforms tell up to this."""
 
 _LIDAR_ODOMETRY = re.compile(r"kiss|icp|lio|loam|lidar", re.IGNORECASE)
-_LIVOX = "CustomMsg"
 _PACKETS = ("VelodyneScan", "PacketMsg", "RobosensePacket", "RslidarScan", "HesaiScan", "PandarScan")
 
 
@@ -237,12 +236,6 @@ def _registered(
 
 
 def _no_clouds(found: BagTopics) -> str:
-    livox = [topic for topic, kind in found.types.items() if kind.endswith(_LIVOX)]
-    if livox:
-        return (
-            f"{livox[0]} holds clouds in the driver's own {_LIVOX}: record sensor_msgs/PointCloud2 instead "
-            "(xfer_format 0 in the Livox driver), or the odometry's output"
-        )
     packets = [topic for topic, kind in found.types.items() if kind.endswith(_PACKETS)]
     if packets:
         return (

@@ -13,6 +13,10 @@ START_NS = 1_700_000_000 * 10**9
 SCANS = 8
 PERIOD_NS = 100_000_000
 WORLD = np.random.default_rng(5).uniform(-20, 20, (300, 3))
+LIVOX_POINT = "uint32 offset_time\nfloat32 x\nfloat32 y\nfloat32 z\nuint8 reflectivity\nuint8 tag\nuint8 line"
+LIVOX_CLOUD = (
+    "std_msgs/Header header\nuint64 timebase\nuint32 point_num\nuint8 lidar_id\nuint8[3] rsvd\nCustomPoint[] points"
+)
 MOUNTED = se3.from_yaw(np.pi / 2, (0.9, 0.1, 1.8))
 TWIST = np.array([1.5, 0.2, 0.0, 0.0, 0.0, 0.6])
 
@@ -186,22 +190,38 @@ class Layout:
             self.rows.append((stamp, topic, "sensor_msgs/msg/LaserScan", message))
         return self
 
-    def livox(self, topic: str) -> Layout:
-        """Clouds in the message of Livox's own driver."""
-        definition = "std_msgs/Header header\nuint64 timebase\nuint32 point_num"
-        return self.own_type(topic, "livox_ros_driver2/msg/CustomMsg", definition, timebase=1, point_num=0)
+    def livox(self, topic: str, frame: str = "lidar", package: str = "livox_ros_driver2") -> Layout:
+        """Clouds in the message of Livox's own drivers, of a sensor that is the body."""
+        from rosbags.typesys import get_types_from_msg
+
+        point, cloud = f"{package}/msg/CustomPoint", f"{package}/msg/CustomMsg"
+        self.store.register(get_types_from_msg(LIVOX_POINT, point))
+        self.store.register(get_types_from_msg(LIVOX_CLOUD, cloud))
+        for stamp in scan_stamps():
+            seen = se3.apply(se3.inverse(body_at(stamp)), WORLD).astype(np.float32)
+            points = [
+                self.types[point](1000 * index, *row, reflectivity=index % 256, tag=16, line=index % 4)
+                for index, row in enumerate(seen)
+            ]
+            message = self.types[cloud](
+                header=self.header(stamp, frame), timebase=stamp, point_num=len(points), lidar_id=1,
+                rsvd=np.zeros(3, np.uint8), points=points,
+            )  # fmt: skip
+            self.rows.append((stamp, topic, cloud, message))
+        return self
 
     def text(self, topic: str) -> Layout:
         self.rows.append((START_NS, topic, "std_msgs/msg/String", self.types["std_msgs/msg/String"](data="hello")))
         return self
 
-    def write2(self, folder: Path, plugin: str = "MCAP", *, zstd: bool = False) -> Path:
+    def write2(self, folder: Path, plugin: str = "MCAP", *, compressed: str = "") -> Path:
+        """`compressed` is "MESSAGE" or "FILE", by zstd."""
         from rosbags.rosbag2 import StoragePlugin, Writer
         from rosbags.rosbag2.enums import CompressionFormat, CompressionMode
 
         writer = Writer(folder, version=9, storage_plugin=StoragePlugin[plugin])
-        if zstd:
-            writer.set_compression(CompressionMode.MESSAGE, CompressionFormat.ZSTD)
+        if compressed:
+            writer.set_compression(CompressionMode[compressed], CompressionFormat.ZSTD)
         with writer:
             self._write(writer, self.store.serialize_cdr)
         return folder

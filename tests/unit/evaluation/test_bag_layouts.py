@@ -5,8 +5,9 @@ A recording is right where every scan, moved by its pose, lies on the one world 
 
 from __future__ import annotations
 
+import sqlite3
+from contextlib import closing
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,9 +15,10 @@ import typer
 from mcap.writer import Writer
 
 from revisit.cli.recordings import opened
-from revisit.core.errors import BadField, RevisitError, UnsupportedEncoding
+from revisit.core.errors import BadField, MalformedBody, RevisitError
 from revisit.core.geometry import se3
 from revisit.evaluation.datasets import WantedTopics, notes_of, open_bag, open_recording
+from revisit.evaluation.datasets.bag_files import is_bag
 from tests.support.bag_layouts import (
     MOUNTED,
     PERIOD_NS,
@@ -242,17 +244,35 @@ def test_two_drives_in_one_folder_are_not_mixed(tmp_path: Path) -> None:
         open_bag(tmp_path)
 
 
-def test_messages_that_are_compressed_one_by_one_are_refused_with_the_way_out(tmp_path: Path) -> None:
-    with pytest.raises(UnsupportedEncoding, match="ros2 bag convert"):
-        open_bag(fast_lio().write2(tmp_path / "drive", "SQLITE3", zstd=True))
+@pytest.mark.parametrize("plugin", ["MCAP", "SQLITE3"])
+@pytest.mark.parametrize("by", ["MESSAGE", "FILE"])
+def test_a_bag_that_ros_2_has_compressed_is_read_as_the_plain_one(tmp_path: Path, plugin: str, by: str) -> None:
+    plain = open_bag(fast_lio().write2(tmp_path / "plain", plugin))
+    packed = open_bag(fast_lio().write2(tmp_path / "packed", plugin, compressed=by))
+    for index in range(SCANS):
+        np.testing.assert_array_equal(packed.scan(index).points, plain.scan(index).points)
+        np.testing.assert_array_equal(packed.pose(index), plain.pose(index))
 
 
-def test_a_driver_s_own_clouds_are_refused_with_the_setting_to_change() -> None:
-    from revisit.evaluation.datasets.topic_choice import choose
+def test_one_file_that_is_compressed_needs_no_metadata_and_one_that_is_damaged_says_so(tmp_path: Path) -> None:
+    folder = fast_lio().write2(tmp_path / "drive", compressed="FILE")
+    (folder / "metadata.yaml").unlink()
+    (file,) = folder.iterdir()
+    assert is_bag(file) and is_bag(folder) and len(open_bag(folder)) == len(open_bag(file)) == SCANS
+    file.write_bytes(file.read_bytes()[:4] + b"damaged")
+    with pytest.raises(MalformedBody, match="cannot be unpacked"):
+        open_bag(file)
 
-    found = SimpleNamespace(clouds={}, types={"/livox/lidar": "livox_ros_driver2/msg/CustomMsg"})
-    with pytest.raises(BadField, match="xfer_format 0"):
-        choose(found, WantedTopics())  # type: ignore[arg-type]
+
+def test_a_compressed_message_that_is_damaged_costs_no_other_one(tmp_path: Path) -> None:
+    file = fast_lio().write2(tmp_path / "drive", "SQLITE3", compressed="MESSAGE") / "drive.db3"
+    with closing(sqlite3.connect(file)) as store, store:
+        clouds = "topic_id = (SELECT id FROM topics WHERE name = '/livox/lidar')"
+        last = f"(SELECT max(id) FROM messages WHERE {clouds})"
+        assert store.execute(f"UPDATE messages SET data = substr(data, 1, 40) WHERE id = {last}").rowcount == 1
+    recording = open_bag(file.parent)
+    assert len(recording) == SCANS - 1
+    assert "1 messages cannot be read and were left out" in " ".join(notes_of(recording))
 
 
 def test_a_command_says_on_stderr_which_topics_it_took_and_why(tmp_path: Path, capsys) -> None:

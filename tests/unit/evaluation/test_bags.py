@@ -18,7 +18,7 @@ from revisit.core.errors import BadField, MalformedBody, TooLarge, UnsupportedEn
 from revisit.core.geometry import se3
 from revisit.evaluation.datasets import WantedTopics, open_bag
 from revisit.evaluation.datasets.bag_message import unpacked_chunk
-from revisit.evaluation.datasets.ros_messages import read_points
+from revisit.evaluation.datasets.ros_messages import CLOUD_TYPES, read_points
 
 MAGIC = b"\x89MCAP0\r\n"
 COUNT = 120
@@ -236,14 +236,16 @@ def a_cloud(points: np.ndarray, height: int, row_step: int, padding: int = 0, co
 
 def test_rows_are_counted_by_the_bytes_that_are_there() -> None:
     with pytest.raises(MalformedBody, match="declares"):
-        read_points(a_cloud(cloud(0), 0xFFFFFFFF, 0))
+        read_points(a_cloud(cloud(0), 0xFFFFFFFF, 0), CLOUD_TYPES[0])
     with pytest.raises(MalformedBody, match="declares"):
-        read_points(a_cloud(cloud(0), 0xFFFFFFFF, 12 * COUNT + 8))
+        read_points(a_cloud(cloud(0), 0xFFFFFFFF, 12 * COUNT + 8), CLOUD_TYPES[0])
 
 
 def test_the_padding_of_a_single_row_and_a_count_of_none_are_read_as_they_are_meant() -> None:
-    np.testing.assert_array_equal(read_points(a_cloud(cloud(0), 1, 12 * COUNT + 8, padding=8)), cloud(0))
-    np.testing.assert_array_equal(read_points(a_cloud(cloud(0), 1, 12 * COUNT, count=0)), cloud(0))
+    np.testing.assert_array_equal(
+        read_points(a_cloud(cloud(0), 1, 12 * COUNT + 8, padding=8), CLOUD_TYPES[0]), cloud(0)
+    )
+    np.testing.assert_array_equal(read_points(a_cloud(cloud(0), 1, 12 * COUNT, count=0), CLOUD_TYPES[0]), cloud(0))
 
 
 @pytest.mark.parametrize(("name", "kind"), [(b"intensity\0", 0), (b"ring\0", 99), (b"", 7)])
@@ -253,7 +255,7 @@ def test_what_a_driver_writes_of_other_fields_costs_no_scan(name: bytes, kind: i
         cdr.raw(field).put("I", 4 * min(index, 3)).put("B", 7 if index < 3 else kind).put("I", 1)
     rows = np.column_stack([cloud(0), np.zeros(COUNT, np.float32)])
     message = cdr.put("B", 0).put("I", 16, 16 * COUNT).raw(rows.tobytes()).put("B", 1).message()
-    np.testing.assert_array_equal(read_points(message), cloud(0))
+    np.testing.assert_array_equal(read_points(message, CLOUD_TYPES[0]), cloud(0))
 
 
 def test_a_sqlite_bag_is_read_like_an_mcap_file(tmp_path: Path) -> None:

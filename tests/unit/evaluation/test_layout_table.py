@@ -123,8 +123,13 @@ def split(folder: Path) -> Path:
     return folder / "drive"
 
 
-def compressed_messages(folder: Path) -> Path:
-    return fast_lio().write2(folder / "drive", "SQLITE3", zstd=True)
+def compressed(by: str, plugin: str) -> Callable[[Path], Path]:
+    return lambda folder: fast_lio().write2(folder / "drive", plugin, compressed=by)
+
+
+def livox_ros1(folder: Path) -> Path:
+    layout = Layout(ros1=True).livox("/livox/lidar", package="livox_ros_driver").odometry("/odom", "odom", "lidar")
+    return layout.write1(folder / "drive.bag")
 
 
 def wheels_and_lidar_odometry() -> Layout:
@@ -172,8 +177,8 @@ class Row:
 ROWS = [
     Row("FAST-LIO: `/cloud_registered` and `/Odometry` in `camera_init`, `/livox/lidar`", whole(fast_lio),
         "clouds of /livox/lidar"),
-    Row("FAST-LIO with Livox `CustomMsg`: only `/cloud_registered` is a PointCloud2", whole(livox_with_fast_lio),
-        "taken back to its sensor by the inverse of its pose"),
+    Row("FAST-LIO with Livox `CustomMsg` and `/cloud_registered`", whole(livox_with_fast_lio),
+        "clouds of /livox/lidar (frame lidar), 8 of 8 with a pose"),
     Row("FAST-LIO with `/cloud_registered_body`", whole(registered_in_the_body), "clouds of /cloud_registered_body"),
     Row("LIO-SAM: registered clouds and odometry in `odom`, raw clouds, static transforms", whole(lio_sam),
         "clouds of /points_raw"),
@@ -198,6 +203,13 @@ ROWS = [
         from_world_m=1e6 * 6),
     Row("ROS 1, LZ4", ros1("LZ4"), "clouds of /velodyne_points"),
     Row("ROS 1, bzip2 or uncompressed", ros1("BZ2"), "clouds of /velodyne_points"),
+    Row("Livox `CustomMsg` (MID-360, Avia) and odometry, ROS 2",
+        whole(lambda: Layout().livox("/livox/lidar").odometry("/odom", "odom", "lidar")), "clouds of /livox/lidar"),
+    Row("Livox `CustomMsg` (MID-360, Avia) and odometry, ROS 1", livox_ros1, "clouds of /livox/lidar"),
+    Row("Compressed by message (`--compression-mode message`), MCAP or SQLite", compressed("MESSAGE", "SQLITE3"),
+        "clouds of /livox/lidar"),
+    Row("Compressed by file (`--compression-mode file`), MCAP or SQLite", compressed("FILE", "MCAP"),
+        "clouds of /livox/lidar"),
     Row("Split into several files", split, "2 files read as one recording"),
     Row("Odometry of wheels beside that of a LiDAR (`/odom`, `/kiss/odometry`)", whole(wheels_and_lidar_odometry),
         "poses of /kiss/odometry"),
@@ -224,15 +236,14 @@ ROWS = [
         "base is in odom, but not where lidar of /points sits on it: say it with --T-body-sensor", scans=0),
     Row("Clouds alone, no poses", whole(lambda: Layout().raw("/points", "lidar")),
         "Run a LiDAR odometry (KISS-ICP, FAST-LIO) and record what it publishes", scans=0),
-    Row("Livox `CustomMsg` alone", whole(lambda: Layout().livox("/livox/lidar").odometry("/odom", "odom", "base")),
-        "xfer_format 0", scans=0),
+    Row("Livox `CustomMsg` alone, no poses", whole(lambda: Layout().livox("/livox/lidar")),
+        "Run a LiDAR odometry", scans=0),
     Row("Packets of the driver alone (`VelodyneScan`, Ouster `PacketMsg`)", whole(packets),
         "record the sensor_msgs/PointCloud2 that it publishes", scans=0),
     Row("A 2D scanner (`LaserScan`)", whole(flat), "a 3D LiDAR is needed", scans=0),
     Row("Clouds stamped since the sensor's start, poses by the computer's clock", whole(clock_since_boot),
         "are both stamped by one clock?", scans=0),
     Row("Clouds stamped 0", whole(stamps_of_zero), "are both stamped by one clock?", scans=0),
-    Row("Compressed by message or file (`--compression-mode`)", compressed_messages, "ros2 bag convert", scans=0),
 ]  # fmt: skip
 
 

@@ -281,7 +281,7 @@ def test_poses_are_not_made_up_for_a_pause_in_which_the_body_moved() -> None:
     [
         ("part1/drive/drive_0.mcap", "there are bags in .*drive: name one of them"),
         ("drive.bag.active", "rename it to .bag"),
-        ("drive_0.db3.zstd", "unpack it first"),
+        ("drive_0.db3.gz", "unpack it first"),
     ],
 )
 def test_a_folder_with_bags_out_of_sight_is_refused_with_what_to_do(tmp_path: Path, file: str, advice: str) -> None:
