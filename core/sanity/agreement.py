@@ -50,6 +50,13 @@ class _Comparison:
         return float(np.isfinite(distances).mean())
 
 
+def share_met(pair: ScenePair) -> float:
+    """The share, 0 to 1, of the second scan's points that lie near one of the first, once moved by the poses."""
+    compared = _Comparison(pair)
+    one, other = compared.poses
+    return compared.agreement(se3.inverse(one) @ other)
+
+
 def check_agreement(pairs: Sequence[ScenePair]) -> list[Finding]:
     """Whether scans lie on each other once moved by their poses, or would so if the poses meant something else.
 

@@ -8,9 +8,10 @@ from pathlib import Path
 from revisit.core.errors import BadField
 from revisit.core.sanity.finding import Finding
 from revisit.evaluation.datasets.bag_files import bags_out_of_sight, is_bag
-from revisit.evaluation.datasets.cloud_folder import open_cloud_folder
+from revisit.evaluation.datasets.cloud_folder import open_cloud_folder, open_unposed_clouds
 from revisit.evaluation.datasets.kitti import KittiRecording, write_kitti
 from revisit.evaluation.datasets.kitti360 import open_kitti360
+from revisit.evaluation.datasets.lidar_odometry import KISS_ICP, Report
 from revisit.evaluation.datasets.mulran import open_mulran
 from revisit.evaluation.datasets.nclt import open_nclt
 from revisit.evaluation.datasets.posed_clouds import PosedClouds
@@ -19,10 +20,9 @@ from revisit.evaluation.datasets.ros_bag import BagRecording, open_bag
 from revisit.evaluation.datasets.topic_choice import WantedTopics
 
 __all__ = [
-    "AUTO", "FORMATS", "BagRecording", "KittiRecording", "PosedClouds", "Recording", "WantedTopics", "findings_of",
-    "name_of_scan",
-    "notes_of", "open_bag", "open_cloud_folder", "open_kitti360", "open_mulran", "open_nclt", "open_recording",
-    "write_kitti",
+    "AUTO", "FORMATS", "KISS_ICP", "BagRecording", "KittiRecording", "PosedClouds", "Recording", "WantedTopics",
+    "findings_of", "name_of_scan", "notes_of", "open_bag", "open_cloud_folder", "open_kitti360", "open_mulran",
+    "open_nclt", "open_recording", "write_kitti",
 ]  # fmt: skip
 
 FORMATS: dict[str, Callable[[Path], Recording]] = {
@@ -42,22 +42,29 @@ AUTO = "auto"
 
 
 def open_recording(
-    folder: Path, file_format: str = AUTO, wanted: WantedTopics = WantedTopics(), poses: Path | None = None
+    folder: Path,
+    file_format: str = AUTO,
+    wanted: WantedTopics = WantedTopics(),
+    poses: Path | None = None,
+    report: Report | None = None,
 ) -> Recording:
     """The recording in `folder`. `wanted` is for bags, `poses` a file of them for a folder of clouds.
 
-    Raises BadField for an unknown format, or where topics are named and it is no bag, and what opening raises.
+    The odometry `KISS_ICP` is for both: it is made of the clouds, and `report` is told how far it is. Raises BadField
+    for an unknown format, or where topics are named and it is no bag, and what opening raises.
     """
+    if wanted.odometry == KISS_ICP and not is_bag(folder):
+        return _without_poses(folder, file_format, wanted, poses, report)
     if poses is not None:
         if is_bag(folder) or file_format not in (AUTO, "clouds", "kitti") or wanted != WantedTopics():
             raise BadField("--poses is for folders of clouds: a bag has its poses in a topic", field="poses")
         return open_cloud_folder(folder, poses)
     if file_format == AUTO:
-        return _of_what_is_there(folder, wanted)
+        return _of_what_is_there(folder, wanted, report)
     if file_format not in FORMATS:
         raise BadField(f"the format is one of {', '.join((AUTO, *FORMATS))}, not {file_format[:40]!r}", field="format")
     if FORMATS[file_format] is open_bag:
-        return open_bag(folder, wanted)
+        return open_bag(folder, wanted, report)
     if wanted != WantedTopics():
         raise BadField("topics and the mounting of the sensor are for bags", field="topic")
     try:
@@ -74,10 +81,11 @@ def notes_of(recording: Recording) -> tuple[str, ...]:
     """Sentences on how the recording was read, where that was a choice."""
     if isinstance(recording, BagRecording):
         return recording.notes
-    if isinstance(recording, PosedClouds) and any(recording.origin):
-        x, y, z = recording.origin
-        return (f"the first pose, at {x:.3f} {y:.3f} {z:.3f}, is the origin of what is answered",)
-    return ()
+    if not isinstance(recording, PosedClouds):
+        return ()
+    x, y, z = recording.origin
+    moved = (f"the first pose, at {x:.3f} {y:.3f} {z:.3f}, is the origin of what is answered",)
+    return (*recording.notes, *(moved if any(recording.origin) else ()))
 
 
 def findings_of(recording: Recording) -> tuple[Finding, ...]:
@@ -92,9 +100,22 @@ def name_of_scan(recording: Recording, index: int) -> str:
     return f"scan {index + 1} of {len(recording)} (stamp {recording.stamps_ns[index]} ns)"
 
 
-def _of_what_is_there(folder: Path, wanted: WantedTopics) -> Recording:
+def _without_poses(
+    folder: Path, file_format: str, wanted: WantedTopics, poses: Path | None, report: Report | None
+) -> Recording:
+    """Clouds whose poses are made."""
+    if poses is not None or wanted != WantedTopics(odometry=KISS_ICP):
+        raise BadField(
+            f"--odometry {KISS_ICP} makes the poses of a folder of clouds: no others are taken", field="poses"
+        )
+    if file_format not in (AUTO, "clouds", "kitti"):
+        raise BadField(f"--odometry {KISS_ICP} is for folders of clouds and for bags", field="odometry")
+    return open_unposed_clouds(folder, report)
+
+
+def _of_what_is_there(folder: Path, wanted: WantedTopics, report: Report | None) -> Recording:
     try:
-        return open_recording(folder, _format_of(folder), wanted)
+        return open_recording(folder, _format_of(folder), wanted, report=report)
     except FileNotFoundError as error:
         if advice := bags_out_of_sight(folder):
             raise FileNotFoundError(f"{error}; {advice}") from error

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from revisit.evaluation.datasets.bag_topics import BagTopics
+from revisit.evaluation.datasets.lidar_odometry import KISS_ICP
 from revisit.evaluation.datasets.pairing import Pairing, Relation
 from revisit.evaluation.datasets.posed_clouds import Stamps
 from revisit.evaluation.datasets.topic_choice import WantedTopics, doubts
@@ -30,7 +31,7 @@ def _taken(pairs: list[Pairing], found: BagTopics, stamps: Stamps) -> list[str]:
     if first.poses in found.poses:
         topic = found.poses[first.poses]
         said.append(f"poses of {first.poses} (frame {topic.frame}, following {topic.body or 'what it does not name'})")
-    else:
+    elif first.poses != KISS_ICP:
         said.append(f"poses by the transforms of {first.poses}")
     return [*said, *(("warning: " if pair.relation is Relation.ASSUMED else "") + pair.why for pair in pairs)]
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,7 @@ from numpy.typing import NDArray
 from revisit.core.errors import BadField, MalformedBody
 from revisit.core.geometry import se3
 from revisit.core.scan import Points
+from revisit.evaluation.datasets.lidar_odometry import KISS_ICP, Report, odometry_of
 from revisit.evaluation.datasets.number_rows import MICROSECOND_DIGITS, nanoseconds, read_rows, read_times, read_words
 from revisit.evaluation.datasets.posed_clouds import (
     PosedClouds,
@@ -22,6 +24,7 @@ from revisit.evaluation.datasets.posed_clouds import (
 from revisit.formats import decode_cloud, media_type_for_suffix
 
 SCAN_PERIOD_NS = 100_000_000
+_TIMES = "times.txt"
 _SUFFIXES = (".pcd", ".ply", ".bin", ".npy")
 _CLOUD_FOLDERS = ("clouds", "scans", "velodyne", ".")
 _POSE_FILES = (
@@ -44,7 +47,7 @@ def open_cloud_folder(folder: Path, poses: Path | None = None) -> PosedClouds:
     cloud, 0.1 s apart; edges are not needed. Raises FileNotFoundError, MalformedBody, BadField, BadTransform.
     """
     name, files = folder.resolve().name, _clouds(folder)
-    poses = poses or _pose_file(folder, files[0].parent)
+    poses = poses or _pose_file(folder)
     if poses.suffix == ".g2o":
         vertices = _g2o(poses)
         if len(vertices) != len(files):
@@ -64,6 +67,28 @@ def open_cloud_folder(folder: Path, poses: Path | None = None) -> PosedClouds:
     return interpolated(name, (files, named), StampedPoses(stamps, matrices), np.eye(4), read_cloud)
 
 
+def open_unposed_clouds(folder: Path, report: Report | None = None) -> PosedClouds:
+    """Clouds as `open_cloud_folder` finds them, their poses by KISS-ICP from the clouds themselves.
+
+    Times are those of `times.txt` (seconds, one a cloud), else those that the files are named by, else 0.1 s apart.
+    Raises FileNotFoundError, ImportError without KISS-ICP, and what a damaged cloud raises.
+    """
+    files = _clouds(folder)
+    odometry = odometry_of(lambda index: read_cloud(files[index]), len(files), report)
+    stamps = _stamps(folder, files)
+    return replace(
+        posed(folder.resolve().name, files, list(odometry.T_odom_sensor), stamps, read_cloud), notes=odometry.notes()
+    )
+
+
+def _stamps(folder: Path, files: list[Path]) -> Stamps:
+    """The times of clouds without poses."""
+    if (folder / _TIMES).is_file() and len(times := read_times(folder / _TIMES)) == len(files):
+        return times
+    named = _times_in_names(files)
+    return _regular(len(files)) if named is None else named
+
+
 def read_cloud(file: Path) -> Points:
     """The points (n, 3) of a cloud file, by the product's own parsers. Raises MalformedBody, UnsupportedEncoding."""
     return decode_cloud(file.read_bytes(), media_type_for_suffix(file.suffix)).points
@@ -77,7 +102,7 @@ def _clouds(folder: Path) -> list[Path]:
     raise FileNotFoundError(f"no clouds ({', '.join(_SUFFIXES)}) in {folder}")
 
 
-def _pose_file(folder: Path, clouds: Path) -> Path:
+def _pose_file(folder: Path) -> Path:
     for name in _POSE_FILES:
         if (folder / name).exists():
             return folder / name
@@ -87,8 +112,8 @@ def _pose_file(folder: Path, clouds: Path) -> Path:
                 return file
     raise FileNotFoundError(
         f"no odometry for the clouds in {folder}: neither {', '.join(_POSE_FILES)}, nor a file of KISS-ICP or GLIM. "
-        "Name one with --poses FILE (TUM or KITTI). KISS-ICP makes one from the clouds alone: "
-        f"`pip install kiss-icp`, then `kiss_icp_pipeline {clouds}`, which writes results/latest/*_tum.txt"
+        "Name one with --poses FILE (TUM or KITTI), or let KISS-ICP make one from the clouds alone: "
+        f"--odometry {KISS_ICP} (pip install 'revisit-loops[{KISS_ICP}]')"
     )
 
 

@@ -81,7 +81,8 @@ class PosedClouds:
     """Cloud files, read when asked for.
 
     T_world_sensor (n, 4, 4), z up; stamps_ns (n,) int64; `read` gives the points (n, 3) of a file in the sensor frame;
-    `origin` (3,) is where the world's origin lies in the published map frame, metres.
+    `origin` (3,) is where the world's origin lies in the published map frame, metres; `notes` are sentences about how
+    the poses were made.
     """
 
     name: str
@@ -90,6 +91,7 @@ class PosedClouds:
     stamps_ns: Stamps
     read: CloudReader
     origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    notes: Sequence[str] = ()
 
     def __post_init__(self) -> None:
         if not self.files:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,16 +11,17 @@ from numpy.typing import NDArray
 
 from revisit.core.geometry import se3
 from revisit.core.sanity.finding import Finding
-from revisit.core.scan import Scan
+from revisit.core.scan import Points, Scan
 from revisit.evaluation.datasets.bag_files import bag_files, open_files
 from revisit.evaluation.datasets.bag_message import Bag, Encoding, Place
 from revisit.evaluation.datasets.bag_notes import notes
-from revisit.evaluation.datasets.bag_topics import WANTED_TYPES, read_topics
+from revisit.evaluation.datasets.bag_topics import WANTED_TYPES, BagTopics, read_topics
 from revisit.evaluation.datasets.clock import check_clocks
-from revisit.evaluation.datasets.pairing import Pairing
-from revisit.evaluation.datasets.posed_clouds import Stamps
+from revisit.evaluation.datasets.lidar_odometry import KISS_ICP, Report, odometry_of
+from revisit.evaluation.datasets.pairing import Fixed, Pairing, Relation
+from revisit.evaluation.datasets.posed_clouds import StampedPoses, Stamps
 from revisit.evaluation.datasets.ros_messages import read_coordinates, read_points
-from revisit.evaluation.datasets.topic_choice import WantedTopics, choose, with_other_frames
+from revisit.evaluation.datasets.topic_choice import WantedTopics, choose, clouds_alone, with_other_frames
 
 
 @dataclass(frozen=True)
@@ -64,19 +65,20 @@ class BagRecording:
         return (self.scan(index) for index in range(len(self)))
 
 
-def open_bag(path: Path, wanted: WantedTopics = WantedTopics()) -> BagRecording:
+def open_bag(path: Path, wanted: WantedTopics = WantedTopics(), report: Report | None = None) -> BagRecording:
     """A bag: one file, or a folder with one or with the files of a split one.
 
     Clouds and poses are chosen by their frames (`topic_choice`), unless `wanted` names them. The world must have z up.
-    Clouds without a pose before and after them are left out. Raises FileNotFoundError, BadField, BadTransform,
-    MalformedBody, UnsupportedEncoding.
+    Clouds without a pose before and after them are left out. The odometry `KISS_ICP` is made of the clouds; `report`
+    is told how far it is. Raises FileNotFoundError, BadField, BadTransform, MalformedBody, UnsupportedEncoding,
+    ImportError without KISS-ICP.
     """
     if wanted.T_body_sensor is not None:
         se3.validated(wanted.T_body_sensor)
     files = bag_files(path)
     bag = open_files(files, WANTED_TYPES)
     found = read_topics(bag)
-    pairs = with_other_frames(choose(found, wanted), found, wanted)
+    pairs, said = _pairs(bag, found, wanted, report)
     parts = [_placed(pair) for pair in pairs]
     order = np.argsort(np.concatenate([part.stamps_ns for part in parts]), kind="stable")
     stamps, T_world_sensor = (
@@ -88,9 +90,30 @@ def open_bag(path: Path, wanted: WantedTopics = WantedTopics()) -> BagRecording:
     return BagRecording(
         name, bag, [places[index] for index in order], pairs[0].clouds.message_type, pairs[0].clouds.encoding,
         T_world_sensor,
-        None if moved is None else moved[order], stamps, notes(pairs, found, wanted, stamps, len(files)),
+        None if moved is None else moved[order], stamps, (*said, *notes(pairs, found, wanted, stamps, len(files))),
         tuple(check_clocks(pairs, found)),
     )  # fmt: skip
+
+
+def _pairs(
+    bag: Bag, found: BagTopics, wanted: WantedTopics, report: Report | None
+) -> tuple[list[Pairing], Sequence[str]]:
+    """The clouds with their poses, by frame, and sentences on poses that were made."""
+    if wanted.odometry != KISS_ICP:
+        return with_other_frames(choose(found, wanted), found, wanted), ()
+    clouds = clouds_alone(found, wanted)
+    order = np.argsort(clouds.stamps_ns, kind="stable")
+    stamps, first = np.unique(clouds.stamps_ns[order], return_index=True)
+    places = [clouds.places[index] for index in order[first]]
+
+    def read(index: int) -> Points:
+        return read_points(bag.data(places[index]), clouds.message_type, clouds.encoding)
+
+    odometry = odometry_of(read, len(places), report)
+    poses = StampedPoses(stamps, odometry.T_odom_sensor)
+    why = f"KISS-ICP has found out how {clouds.frame or 'the sensor'} moved"
+    here = Fixed(np.eye(4))
+    return [Pairing(clouds, KISS_ICP, Relation.KNOWN, poses, here, None, why)], odometry.notes()
 
 
 @dataclass(frozen=True)

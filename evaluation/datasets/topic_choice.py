@@ -11,6 +11,7 @@ import numpy as np
 from revisit.core.errors import BadField
 from revisit.core.geometry import se3
 from revisit.evaluation.datasets.bag_topics import BagTopics, CloudTopic, PoseTopic
+from revisit.evaluation.datasets.lidar_odometry import KISS_ICP
 from revisit.evaluation.datasets.namespaces import alike, of_another_robot, shared, twins
 from revisit.evaluation.datasets.pairing import BetweenFrames, Fixed, Pairing, PoseSource, Relation
 from revisit.evaluation.datasets.posed_clouds import StampedPoses
@@ -52,6 +53,12 @@ def choose(found: BagTopics, wanted: WantedTopics) -> Pairing:
                        "are both stamped by one clock?", field="poses")  # fmt: skip
     usable = [(pair, count) for pair, count in zip(pairs, counts, strict=True) if 2 * count >= max(counts)]
     return min(usable, key=lambda choice: _order(choice[0], choice[1], pairs, found))[0]
+
+
+def clouds_alone(found: BagTopics, wanted: WantedTopics) -> CloudTopic:
+    """The most clouds of one topic and one frame, whatever poses there are. Raises BadField where there are none."""
+    parts = [part for topic in _named(found.clouds, wanted.topic, "topic", found) for part in topic.by_frame()]
+    return max(parts, key=lambda part: len(part.stamps))
 
 
 def with_other_frames(pair: Pairing, found: BagTopics, wanted: WantedTopics) -> list[Pairing]:
@@ -260,8 +267,8 @@ def _no_poses(found: BagTopics, clouds: list[CloudTopic], wanted: WantedTopics) 
         )
     return (
         f"{cloud.name} (frame {cloud.frame}) has no poses: the bag needs a nav_msgs/Odometry, a nav_msgs/Path, a "
-        f"geometry_msgs/PoseStamped, or transforms above {cloud.frame} that move. Run a LiDAR odometry (KISS-ICP, "
-        "FAST-LIO) and record what it publishes, or give clouds and a TUM trajectory to `--format clouds`. "
+        f"geometry_msgs/PoseStamped, or transforms above {cloud.frame} that move. `--odometry {KISS_ICP}` makes poses "
+        "of the clouds; or run a LiDAR odometry (FAST-LIO) and record what it publishes. "
         f"Topics: {_listed(found)}"
     )
 

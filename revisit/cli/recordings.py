@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from revisit.cli.options import RECORDINGS
-from revisit.cli.output import refuse, signs
+from revisit.cli.output import progress_bar, refuse, reporter, signs
 
 if TYPE_CHECKING:
     from revisit.core.geometry.se3 import Matrix4
@@ -17,7 +17,12 @@ if TYPE_CHECKING:
 Format = Annotated[str, typer.Option("--format", help=RECORDINGS)]
 Topic = Annotated[str | None, typer.Option("--topic", help="Bags: topic of the clouds, instead of the fitting one.")]
 Odometry = Annotated[
-    str | None, typer.Option("--odometry", help="Bags: topic of the poses, or /tf, instead of the fitting one.")
+    str | None,
+    typer.Option(
+        "--odometry",
+        help="Bags: topic of the poses, or /tf, instead of the fitting one. Bags and folders of clouds: 'kiss-icp' "
+        "makes poses of the clouds (extra kiss-icp).",
+    ),
 ]
 Mounting = Annotated[
     str | None,
@@ -48,11 +53,13 @@ def opened(
 ) -> Recording:
     """The recording; which topics of a bag were taken, and why, goes to stderr. Exits for an unusable option."""
     signs.doing(f"reading {folder}")
-    from revisit.evaluation.datasets import AUTO, FORMATS, WantedTopics, notes_of, open_recording
+    from revisit.evaluation.datasets import AUTO, FORMATS, KISS_ICP, WantedTopics, notes_of, open_recording
 
     if file_format not in (AUTO, *FORMATS):
         raise refuse(f"--format is one of {', '.join((AUTO, *FORMATS))}")
-    recording = open_recording(folder, file_format, WantedTopics(topic, odometry, _transform(mounting)), poses)
+    wanted = WantedTopics(topic, odometry, _transform(mounting))
+    with progress_bar(quiet=odometry != KISS_ICP) as bar:
+        recording = open_recording(folder, file_format, wanted, poses, reporter(bar))
     for note in notes_of(recording):
         typer.echo(f"{recording.name}: {note}", err=True)
     return recording

@@ -25,6 +25,7 @@ EXCEPTIONS = {
         "PostgreSQL's driver, used unchanged, in the extra `cluster` alone; whoever has it may exchange it",
     ),
     "psycopg-binary": (LGPL, "its compiled part"),
+    "tqdm": ("MPL-2.0 AND MIT", "a progress bar, used unchanged; KISS-ICP needs it, in the extra `kiss-icp` alone"),
 }
 """Distribution -> its licence, and why it may be used all the same."""
 
@@ -42,7 +43,7 @@ def licences_of(name):
     return classified or {(about.get("License") or "unknown").strip().splitlines()[0].upper()}
 
 
-DISTRIBUTIONS = sorted(distributions("evaluation") | distributions("cluster"))
+DISTRIBUTIONS = sorted(distributions("evaluation") | distributions("cluster") | distributions("kiss-icp"))
 """All that is passed on: the largest extras but the developers' own, which hold the others."""
 
 
