@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from revisit.evaluation.datasets import Recording
 
 TEXTS = ("g2o", "tum", "csv")
-FILES = ("scans", "kitti", "ply", "pcd", "laz", "mesh", "glb", "grid", "mcap", "reference")
+FILES = ("scans", "kitti", "ply", "pcd", "laz", "mesh", "glb", "grid", "mcap", "reference", "autoware", "3dtiles")
 
 Report = Callable[[str, int, int], None]
 
@@ -31,7 +31,8 @@ def export(
         str,
         typer.Option(
             "--format",
-            help="g2o, tum, csv, scans, kitti, ply, pcd, laz (cloud), mesh (ply), glb (mesh), grid, mcap, reference.",
+            help="g2o, tum, csv, scans, kitti, ply, pcd, laz (cloud), mesh (ply), glb (mesh), grid, mcap, reference, "
+            "autoware, 3dtiles (the last two write folders).",
         ),
     ] = "g2o",
     session_id: Annotated[str, typer.Option("--session", help="Only this session; tum and scans need one.")] = "",
@@ -46,8 +47,9 @@ def export(
 ) -> None:
     """Write a map: pose graph (g2o), loops (csv), a session's odometry (tum), every scan of its recording in the map
     (scans, as tum), poses of submaps in the map (kitti), one cloud (ply, pcd, laz), one mesh (mesh, glb), an occupancy
-    grid (grid), poses and cloud for Foxglove (mcap), or pairs of points for fleet adapters (reference). Poses are those
-    of the version in force, or else optimised here.
+    grid (grid), poses and cloud for Foxglove (mcap), pairs of points for fleet adapters (reference), a folder with the
+    cloud in squares as Autoware loads it (autoware), or one with the tiles of the surface for web viewers (3dtiles).
+    Poses are those of the version in force, or else optimised here.
     """
     _require_fitting(file_format, session_id, recording, out)
     try:
@@ -96,6 +98,8 @@ def _write_file(file_format: str, out: Path, http: str, chosen: tuple[str, str],
     """Poses, a cloud, a mesh or a grid, with a bar; a summary."""
     from revisit.cli.map_files import placed_submaps
 
+    if file_format == "3dtiles":
+        return _write_tileset(out, http, *chosen)
     placed = placed_submaps(http, *chosen)
     if not placed:
         raise refuse(f"map {chosen[0]} holds no submaps")
@@ -188,6 +192,49 @@ def _write_reference(out: Path, http: str, placed: list[PlacedSubmap], _report: 
     return {"sessions": len(found)}
 
 
+def _write_autoware(out: Path, http: str, placed: list[PlacedSubmap], report: Report) -> dict[str, int]:
+    """A folder of squares as PCD, their places, and the projector of a map that is not placed on earth."""
+    from revisit.cli.map_files import merged_cloud
+    from revisit.formats import autoware, pcd
+
+    points = merged_cloud(http, placed, report)
+    (out / autoware.CLOUDS).mkdir(parents=True, exist_ok=True)
+    corners = []
+    for corner, part in autoware.squares_of(points):
+        (out / autoware.CLOUDS / autoware.file_of(corner)).write_bytes(pcd.encode(part))
+        corners.append(corner)
+    (out / autoware.METADATA).write_text(autoware.metadata_of(corners))
+    (out / autoware.PROJECTOR).write_text(autoware.LOCAL_PROJECTOR)
+    return {"points": len(points), "squares": len(corners)}
+
+
+def _write_tileset(out: Path, http: str, map_id: str, session_id: str) -> dict[str, Any]:
+    """A folder with the tiles of the version in force as GLB, and the file that lists them; a summary."""
+    from revisit.formats.glb import bounds_of_scene
+    from revisit.formats.tileset import NAME, TileFile, tileset
+    from revisit.sdk.client import Client
+
+    if session_id:
+        raise refuse(
+            "--format 3dtiles writes the version of the map in force, all its sessions: --session is of others"
+        )
+    with Client(http) as client, progress_bar(quiet=False) as bar:
+        report, written, listed = reporter(bar), [], client.map_tiles(f"maps/{map_id}")
+        largest = max((tile.frame for tile in listed), key=[tile.frame for tile in listed].count, default="")
+        tiles = [tile for tile in listed if tile.frame == largest]
+        out.mkdir(parents=True, exist_ok=True)
+        for number, tile in enumerate(tiles, 1):
+            data = client.download_tile(tile, "glb")
+            if bounds := bounds_of_scene(data):
+                written.append(TileFile(f"{tile.name.rpartition('/')[2]}.glb", bounds))
+                (out / written[-1].uri).write_bytes(data)
+            report("tiles", number, len(tiles))
+    if not written:
+        raise refuse(f"map {map_id} has no version with a surface yet")
+    (out / NAME).write_text(tileset(written))
+    return {"file": str(out / NAME), "tiles": len(written)}
+
+
 _WRITERS: dict[str, Callable[[Path, str, list[PlacedSubmap], Report], dict[str, int]]] = {
     "kitti": _write_kitti,
     "ply": partial(_write_cloud, kind="ply"),
@@ -197,4 +244,5 @@ _WRITERS: dict[str, Callable[[Path, str, list[PlacedSubmap], Report], dict[str, 
     "grid": _write_grid,
     "mcap": _write_mcap,
     "reference": _write_reference,
+    "autoware": _write_autoware,
 }

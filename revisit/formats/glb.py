@@ -8,12 +8,13 @@ from __future__ import annotations
 
 import json
 import struct
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from revisit.core.errors import BadField
+from revisit.core.errors import BadField, MalformedBody
 
 MEDIA_TYPE = "model/gltf-binary"
 
@@ -64,6 +65,28 @@ def encode_scene(
     rows[:, :3] = np.rint((ordered - low) / step)
     parts = [encode_attributes(rows.view(np.uint8)), encode_triangles(triangles)]
     return _file(_compressed(rows[:, :3], 3 * len(triangles), parts, _node(low + offset_m, step)), b"".join(parts))
+
+
+@dataclass(frozen=True)
+class Bounds:
+    """A box: its lowest and its highest corner (3,), metres, z up."""
+
+    low: tuple[float, float, float]
+    high: tuple[float, float, float]
+
+
+def bounds_of_scene(data: bytes) -> Bounds | None:
+    """The box of a file that `encode_scene` wrote; None for one without a mesh. Raises MalformedBody."""
+    try:
+        (length,) = struct.unpack_from("<I", data, 12)
+        scene = json.loads(data[20 : 20 + length])
+        if not scene.get("nodes"):
+            return None
+        (x, z, minus_y), (step, *_) = scene["nodes"][0]["translation"], scene["nodes"][0]["scale"]
+        along, across, up = (step * value for value in scene["accessors"][0]["max"])
+    except (struct.error, ValueError, KeyError, IndexError, TypeError) as error:
+        raise MalformedBody("the GLB file is none of a tile") from error
+    return Bounds((x, -minus_y, z), (x + along, across - minus_y, z + up))
 
 
 def _step(vertices: NDArray[np.floating], faces: NDArray[np.int64]) -> float:

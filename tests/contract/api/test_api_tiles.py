@@ -7,6 +7,7 @@ import json
 
 import numpy as np
 import pytest
+import yaml
 from typer.testing import CliRunner
 
 from revisit.cli.app import app
@@ -137,3 +138,19 @@ def test_the_command_line_lists_downloads_and_measures(service, client, tiled, t
     told = json.loads(measured.stdout)
     assert [one["distance_m"] for one in told["distances"]] == [0.4, None]
     assert CliRunner().invoke(app, ["map", "tiles", "--distance", "10,10", *of_map]).exit_code == 1
+
+
+def test_a_map_is_exported_as_tiles_for_the_web_and_as_squares_for_autoware(service, client, tiled, tmp_path):
+    of_map = ["--map", tiled.split("/")[1], "--http", service.http]
+    web, squares = tmp_path / "web", tmp_path / "autoware"
+    written = CliRunner().invoke(app, ["export", "--format", "3dtiles", "--out", str(web), *of_map])
+    assert written.exit_code == 0, written.output
+    named = [child["content"]["uri"] for child in json.loads((web / "tileset.json").read_text())["root"]["children"]]
+    assert {file.name for file in web.iterdir()} == {"tileset.json", *named}
+    assert all((web / uri).read_bytes().startswith(b"glTF") for uri in named) and len(named) >= 2
+    written = CliRunner().invoke(app, ["export", "--format", "autoware", "--out", str(squares), *of_map])
+    assert written.exit_code == 0, written.output
+    described = yaml.safe_load((squares / "pointcloud_map_metadata.yaml").read_text())
+    files = {file.name for file in (squares / "pointcloud_map.pcd").iterdir()}
+    assert files == described.keys() - {"x_resolution", "y_resolution"} and len(files) >= 2
+    assert (squares / "map_projector_info.yaml").read_text() == "projector_type: Local\n"
