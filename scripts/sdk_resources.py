@@ -30,7 +30,7 @@ PATH = "revisit/sdk/resources.py"
 MADE = (
     map_pb2.LoopPolicy, map_pb2.Map, retention_pb2.RetentionPolicy, retention_pb2.RetentionOutcome,
     retention_pb2.RetentionReport, retention_pb2.MapRetention,
-    robot_pb2.Robot, session_pb2.Finding, session_pb2.NoLoops, session_pb2.Session,
+    robot_pb2.Robot, session_pb2.OdometryFault, session_pb2.Finding, session_pb2.NoLoops, session_pb2.Session,
     operation_pb2.Failure, submap_pb2.Submap, loop_closure_pb2.SearchHit, loop_closure_pb2.LocalizedCandidate,
     loop_closure_pb2.LocalizeResponse,
     loop_closure_pb2.LoopClosure, loop_closure_pb2.LoopClosureEvent, mapping_pb2.MapChange, mapping_pb2.MapMerge,

@@ -42,6 +42,9 @@ EXPLAINED = 0.8
 SMALL_SHARE = 0.3
 """Of a fault: what is less beside it is none, and what two faults leave together that come back."""
 
+LEAST_RAD = float(np.radians(2.0))
+"""A fault that turns by less is no turn."""
+
 LEVER_M = 20.0
 """Metres by which a turn is as large as a shift."""
 
@@ -196,7 +199,7 @@ def _event(
     stated = se3_rows.inverse(track.T_odom_submap[first : first + 1]) @ track.T_odom_submap[first : last + 1]
     T_first_last = se3.inverse(T_map_submap[first]) @ T_map_submap[last]
     tangent = se3.log(se3.inverse(stated[-1]) @ T_first_last)
-    kind, amount = _kind(tangent, T_first_last)
+    kind, amount = _kind(stated, T_first_last)
     count = last - first
     variances = (LOOSER - 1.0) * np.diagonal(track.step_covariances[first:last], axis1=1, axis2=2)
     variances = variances + np.repeat([tangent[:3] @ tangent[:3], tangent[3:] @ tangent[3:]], 3) / count
@@ -217,16 +220,24 @@ def _spread(stated: Array64, T_first_last: se3.Matrix4) -> Array64:
     return np.asarray(se3_rows.inverse(poses[:-1]) @ poses[1:])
 
 
-def _kind(correction: Array64, true: se3.Matrix4) -> tuple[FaultKind, float]:
-    """Kind and size of a fault, by the tangent (6,) that mends it in the frame of its end, and the true motion."""
-    turn, shift = correction[3:], correction[:3]
-    if np.linalg.norm(turn) > np.radians(2.0):
-        upright = abs(turn[2]) >= 0.7 * np.linalg.norm(turn)
-        return (FaultKind.TURN if upright else FaultKind.TILT), float(np.linalg.norm(turn))
-    way = true[:3, :3].T @ true[:3, 3]
-    ahead = way / max(float(np.linalg.norm(way)), 1e-9) if np.linalg.norm(way) > 0.1 else np.array([1.0, 0.0, 0.0])
-    along = abs(float(ahead @ shift))
-    is_slip = along >= 0.7 * float(np.linalg.norm(shift))
+def _kind(stated: Array64, T_first_last: se3.Matrix4) -> tuple[FaultKind, float]:
+    """Kind and size of a fault, by the stated way (n, 4, 4) and the true motion along it.
+
+    It is a turn where that is more than the shift at the pose of the way that is shifted least: a turn shifts all but
+    the pose that it happened at.
+    """
+    T_true_stated = T_first_last @ se3.inverse(stated[-1])
+    moved = T_true_stated @ stated
+    least = int(np.linalg.norm(moved[:, :3, 3] - stated[:, :3, 3], axis=1).argmin())
+    shift, turn = (moved - stated)[least, :3, 3], se3.log(T_true_stated)[3:]
+    size = float(np.linalg.norm(turn))
+    if size > LEAST_RAD and LEVER_M * size > np.linalg.norm(shift):
+        upright = abs(turn[2]) >= 0.7 * size
+        return (FaultKind.TURN if upright else FaultKind.TILT), size
+    way = T_first_last[:3, 3]
+    length = float(np.linalg.norm(way))
+    ahead = way / length if length > 0.1 else np.array([1.0, 0.0, 0.0])
+    is_slip = abs(float(ahead @ shift)) >= 0.7 * float(np.linalg.norm(shift))
     return (FaultKind.SLIP if is_slip else FaultKind.JUMP), float(np.linalg.norm(shift))
 
 

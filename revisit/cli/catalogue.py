@@ -97,6 +97,8 @@ def _show_map(client: Client, map_id: str, as_json: bool) -> None:
     title = f"Map {map_id}, version {found.map_version or '-'}{profile}"
     columns = ("session", "state", "scans", "submaps", "travelled m")
     emit_table(title, (*columns, "frame", "x m", "y m", "z m", "yaw deg", "sigma m"), [_row(*one) for one in sessions])
+    for fault in (one for _, correction in sessions if correction for one in correction.odometry_faults):
+        say(f"{fault.session.rpartition('/')[2]}: {fault.message}.")
     say(f"Loops: {', '.join(f'{count} {words}' for words, count in _counted(loops).items()) or 'none'}.")
 
 

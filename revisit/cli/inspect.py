@@ -58,6 +58,8 @@ def _inspect_session(name: str, http: str, as_json: bool) -> None:
         "travelled_m": round(session.travelled_m, 2),
     }
     findings = [asdict(finding) for finding in session.findings]
+    if not as_json:
+        findings = [{name: its for name, its in one.items() if name != "odometry_fault"} for one in findings]
     _report(session.name, figures, findings, as_json)
 
 

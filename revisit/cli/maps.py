@@ -138,6 +138,8 @@ def _show(found: list[MapVersion]) -> None:
     ]
     columns = ("version", "made", "brought back", "sessions", "frames", "submaps", "loops", "set aside", "chi2 / dof")
     emit_table("Versions, * is in force", (*columns, "moved at most m"), rows)
+    for fault in (fault for one in found if one.in_force for fault in one.summary.odometry_faults):
+        say(f"{fault.session.rpartition('/')[2]}: {fault.message}.")
     for one in (join for version in found if version.in_force for join in version.summary.refused_joins):
         sides = (", ".join(name.rpartition("/")[2] for name in side) for side in (one.sessions, one.other_sessions))
         say(f"Kept apart by their surfaces: {' and '.join(sides)} ({one.reason}, {one.loops} loops).")

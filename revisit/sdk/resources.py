@@ -135,6 +135,35 @@ class Robot(Resource):
 
 
 @dataclass(frozen=True, kw_only=True)
+class OdometryFault(Resource):
+    """A fault of a session's odometry that loops show. The version of the map has it mended."""
+
+    session: str = ""
+    """maps/{map}/sessions/{session}"""
+    kind: str = ""
+    """At once: SLIP (way lost or made up), JUMP (a jump aside), TURN (a wrong turn), TILT. Throughout: SCALE (lengths),
+    SLOPE (climb), HEADING (a steady turn).
+    """
+    first_submap: str = ""
+    """maps/{map}/sessions/{session}/submaps/{submap}: the fault lies between this submap and the last one. Those of the
+    whole session for a fault throughout; empty where the submap was deleted.
+    """
+    last_submap: str = ""
+    amount: float = 0.0
+    """SLIP, JUMP: metres. TURN, TILT: radians. SCALE: share of each length that is missing. SLOPE: metres a metre.
+    HEADING: radians a metre.
+    """
+    sigma: float = 0.0
+    """Standard deviation of the amount."""
+    loops: int = 0
+    """Loops that speak for it."""
+    submaps: int = 0
+    """Submaps from the first to the last one, both included."""
+    message: str = ""
+    """The same in words, with the most likely cause."""
+
+
+@dataclass(frozen=True, kw_only=True)
 class Finding(Resource):
     """Something about scans that is unlikely to be meant."""
 
@@ -146,6 +175,8 @@ class Finding(Resource):
     """What most likely causes it."""
     advice: str = ""
     """What to do."""
+    odometry_fault: OdometryFault | None = None
+    """Of a fault of odometry, code odometry_...: its place and size."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -416,6 +447,8 @@ class MapVersionSummary(Resource):
     """How far submaps lie from where the version before had them, metres; absent where no submap can be compared."""
     max_change_m: float | None = None
     refused_joins: tuple[RefusedJoin, ...] = ()
+    odometry_faults: tuple[OdometryFault, ...] = ()
+    """Faults of odometry that loops show; the poses of this version have them mended."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -471,6 +504,10 @@ class Correction(Resource):
     early_loops: int = 0
     """Not 0 where loops that came after the version have moved the session already: how many of the map were asked one
     by one. The correction is then provisional, and as of the last submap of all; the next version replaces it.
+    """
+    odometry_faults: tuple[OdometryFault, ...] = ()
+    """Faults of the session's odometry by the version. The session drives on: T_map_odom is right behind the last of
+    them.
     """
 
 

@@ -1,5 +1,6 @@
 from revisit.v1 import geometry_pb2 as _geometry_pb2
 from revisit.v1 import operation_pb2 as _operation_pb2
+from revisit.v1 import session_pb2 as _session_pb2
 from google.protobuf import struct_pb2 as _struct_pb2
 from google.protobuf.internal import containers as _containers
 from google.protobuf.internal import enum_type_wrapper as _enum_type_wrapper
@@ -31,7 +32,7 @@ class MapVersion(_message.Message):
     def __init__(self, name: _Optional[str] = ..., version: _Optional[int] = ..., in_force: _Optional[bool] = ..., restored_from: _Optional[int] = ..., content_hash: _Optional[str] = ..., operation: _Optional[str] = ..., created_at_ns: _Optional[int] = ..., summary: _Optional[_Union[MapVersionSummary, _Mapping]] = ...) -> None: ...
 
 class MapVersionSummary(_message.Message):
-    __slots__ = ("sessions", "submaps", "frames", "loops_in_map", "loops_set_aside", "loops_unconnected", "chi2", "degrees_of_freedom", "mean_change_m", "max_change_m", "refused_joins")
+    __slots__ = ("sessions", "submaps", "frames", "loops_in_map", "loops_set_aside", "loops_unconnected", "chi2", "degrees_of_freedom", "mean_change_m", "max_change_m", "refused_joins", "odometry_faults")
     SESSIONS_FIELD_NUMBER: _ClassVar[int]
     SUBMAPS_FIELD_NUMBER: _ClassVar[int]
     FRAMES_FIELD_NUMBER: _ClassVar[int]
@@ -43,6 +44,7 @@ class MapVersionSummary(_message.Message):
     MEAN_CHANGE_M_FIELD_NUMBER: _ClassVar[int]
     MAX_CHANGE_M_FIELD_NUMBER: _ClassVar[int]
     REFUSED_JOINS_FIELD_NUMBER: _ClassVar[int]
+    ODOMETRY_FAULTS_FIELD_NUMBER: _ClassVar[int]
     sessions: int
     submaps: int
     frames: int
@@ -54,7 +56,8 @@ class MapVersionSummary(_message.Message):
     mean_change_m: float
     max_change_m: float
     refused_joins: _containers.RepeatedCompositeFieldContainer[RefusedJoin]
-    def __init__(self, sessions: _Optional[int] = ..., submaps: _Optional[int] = ..., frames: _Optional[int] = ..., loops_in_map: _Optional[int] = ..., loops_set_aside: _Optional[int] = ..., loops_unconnected: _Optional[int] = ..., chi2: _Optional[float] = ..., degrees_of_freedom: _Optional[int] = ..., mean_change_m: _Optional[float] = ..., max_change_m: _Optional[float] = ..., refused_joins: _Optional[_Iterable[_Union[RefusedJoin, _Mapping]]] = ...) -> None: ...
+    odometry_faults: _containers.RepeatedCompositeFieldContainer[_session_pb2.OdometryFault]
+    def __init__(self, sessions: _Optional[int] = ..., submaps: _Optional[int] = ..., frames: _Optional[int] = ..., loops_in_map: _Optional[int] = ..., loops_set_aside: _Optional[int] = ..., loops_unconnected: _Optional[int] = ..., chi2: _Optional[float] = ..., degrees_of_freedom: _Optional[int] = ..., mean_change_m: _Optional[float] = ..., max_change_m: _Optional[float] = ..., refused_joins: _Optional[_Iterable[_Union[RefusedJoin, _Mapping]]] = ..., odometry_faults: _Optional[_Iterable[_Union[_session_pb2.OdometryFault, _Mapping]]] = ...) -> None: ...
 
 class RefusedJoin(_message.Message):
     __slots__ = ("sessions", "other_sessions", "reason", "loops", "common_points", "residual_m", "seen_through_share")
@@ -87,7 +90,7 @@ class SubmapPose(_message.Message):
     def __init__(self, submap: _Optional[str] = ..., t_map_submap: _Optional[_Union[_geometry_pb2.Transform, _Mapping]] = ..., frame: _Optional[str] = ..., covariance: _Optional[_Iterable[float]] = ...) -> None: ...
 
 class Correction(_message.Message):
-    __slots__ = ("session", "t_map_odom", "frame", "map_version", "covariance", "created_at_ns", "early_loops")
+    __slots__ = ("session", "t_map_odom", "frame", "map_version", "covariance", "created_at_ns", "early_loops", "odometry_faults")
     SESSION_FIELD_NUMBER: _ClassVar[int]
     T_MAP_ODOM_FIELD_NUMBER: _ClassVar[int]
     FRAME_FIELD_NUMBER: _ClassVar[int]
@@ -95,6 +98,7 @@ class Correction(_message.Message):
     COVARIANCE_FIELD_NUMBER: _ClassVar[int]
     CREATED_AT_NS_FIELD_NUMBER: _ClassVar[int]
     EARLY_LOOPS_FIELD_NUMBER: _ClassVar[int]
+    ODOMETRY_FAULTS_FIELD_NUMBER: _ClassVar[int]
     session: str
     t_map_odom: _geometry_pb2.Transform
     frame: str
@@ -102,7 +106,8 @@ class Correction(_message.Message):
     covariance: _containers.RepeatedScalarFieldContainer[float]
     created_at_ns: int
     early_loops: int
-    def __init__(self, session: _Optional[str] = ..., t_map_odom: _Optional[_Union[_geometry_pb2.Transform, _Mapping]] = ..., frame: _Optional[str] = ..., map_version: _Optional[int] = ..., covariance: _Optional[_Iterable[float]] = ..., created_at_ns: _Optional[int] = ..., early_loops: _Optional[int] = ...) -> None: ...
+    odometry_faults: _containers.RepeatedCompositeFieldContainer[_session_pb2.OdometryFault]
+    def __init__(self, session: _Optional[str] = ..., t_map_odom: _Optional[_Union[_geometry_pb2.Transform, _Mapping]] = ..., frame: _Optional[str] = ..., map_version: _Optional[int] = ..., covariance: _Optional[_Iterable[float]] = ..., created_at_ns: _Optional[int] = ..., early_loops: _Optional[int] = ..., odometry_faults: _Optional[_Iterable[_Union[_session_pb2.OdometryFault, _Mapping]]] = ...) -> None: ...
 
 class OptimiseMapRequest(_message.Message):
     __slots__ = ("name",)

@@ -52,16 +52,40 @@ class NoLoops(_message.Message):
     def __init__(self, code: _Optional[str] = ..., message: _Optional[str] = ...) -> None: ...
 
 class Finding(_message.Message):
-    __slots__ = ("code", "submaps", "cause", "advice")
+    __slots__ = ("code", "submaps", "cause", "advice", "odometry_fault")
     CODE_FIELD_NUMBER: _ClassVar[int]
     SUBMAPS_FIELD_NUMBER: _ClassVar[int]
     CAUSE_FIELD_NUMBER: _ClassVar[int]
     ADVICE_FIELD_NUMBER: _ClassVar[int]
+    ODOMETRY_FAULT_FIELD_NUMBER: _ClassVar[int]
     code: str
     submaps: int
     cause: str
     advice: str
-    def __init__(self, code: _Optional[str] = ..., submaps: _Optional[int] = ..., cause: _Optional[str] = ..., advice: _Optional[str] = ...) -> None: ...
+    odometry_fault: OdometryFault
+    def __init__(self, code: _Optional[str] = ..., submaps: _Optional[int] = ..., cause: _Optional[str] = ..., advice: _Optional[str] = ..., odometry_fault: _Optional[_Union[OdometryFault, _Mapping]] = ...) -> None: ...
+
+class OdometryFault(_message.Message):
+    __slots__ = ("session", "kind", "first_submap", "last_submap", "amount", "sigma", "loops", "submaps", "message")
+    SESSION_FIELD_NUMBER: _ClassVar[int]
+    KIND_FIELD_NUMBER: _ClassVar[int]
+    FIRST_SUBMAP_FIELD_NUMBER: _ClassVar[int]
+    LAST_SUBMAP_FIELD_NUMBER: _ClassVar[int]
+    AMOUNT_FIELD_NUMBER: _ClassVar[int]
+    SIGMA_FIELD_NUMBER: _ClassVar[int]
+    LOOPS_FIELD_NUMBER: _ClassVar[int]
+    SUBMAPS_FIELD_NUMBER: _ClassVar[int]
+    MESSAGE_FIELD_NUMBER: _ClassVar[int]
+    session: str
+    kind: str
+    first_submap: str
+    last_submap: str
+    amount: float
+    sigma: float
+    loops: int
+    submaps: int
+    message: str
+    def __init__(self, session: _Optional[str] = ..., kind: _Optional[str] = ..., first_submap: _Optional[str] = ..., last_submap: _Optional[str] = ..., amount: _Optional[float] = ..., sigma: _Optional[float] = ..., loops: _Optional[int] = ..., submaps: _Optional[int] = ..., message: _Optional[str] = ...) -> None: ...
 
 class CreateSessionRequest(_message.Message):
     __slots__ = ("parent", "session_id", "robot", "storey")

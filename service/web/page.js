@@ -10,7 +10,7 @@ import { listen } from "/keyboard.js";
 import { PairView } from "/pair.js";
 import { actionsOf } from "/review.js";
 import { MapView, roundMetres } from "/scene.js";
-import { stateOf, titleOf, verdictOf } from "/words.js";
+import { faultOf, stateOf, titleOf, verdictOf } from "/words.js";
 
 const STATUS_EVERY_MS = 5000;
 const LISTED_AT_ONCE = 120;
@@ -25,6 +25,7 @@ const model = {
   submaps: new Map(),
   loops: new Map(),
   operations: new Map(),
+  faults: [],
   hidden: new Set(),
   states: new Set(["accepted", "ambiguous"]),
   search: "",
@@ -56,7 +57,7 @@ async function openMap(name) {
 
 function forgetMap() {
   watch?.stop();
-  Object.assign(model, { map: null, missing: "", rejectedRead: false, selected: null, listed: LISTED_AT_ONCE });
+  Object.assign(model, { map: null, missing: "", rejectedRead: false, selected: null, listed: LISTED_AT_ONCE, faults: [] });
   for (const held of [model.sessions, model.submaps, model.loops, model.operations, model.hidden]) held.clear();
 }
 
@@ -77,7 +78,7 @@ async function readMap() {
   for (const submap of tracks.flat()) model.submaps.set(submap.name, submap);
   for (const loop of [...accepted, ...ambiguous, ...proposed]) model.loops.set(loop.name, loop);
   for (const operation of [...running, ...failed]) if (ofMap(operation)) model.operations.set(operation.name, operation);
-  await readWhyNoLoops();
+  await Promise.all([readWhyNoLoops(), readFaults()]);
   if (model.states.has("rejected")) await readRejected();
 }
 
@@ -94,6 +95,13 @@ function hasLoop(name) {
 /** Why none of a session's submaps has a loop, in words; empty where one has, or where that is not known yet. */
 function whyNoLoops(session) {
   return hasLoop(session.name) ? "" : (session.no_loops?.message ?? "");
+}
+
+/** The faults of odometry that the version in force has mended. */
+async function readFaults() {
+  const [name, version] = [model.map, versionShown()];
+  const told = version ? await read(`/v1/${name}/versions/${version}`).catch(() => null) : null;
+  if (name === model.map) model.faults = told?.summary.odometry_faults ?? [];
 }
 
 async function readRejected() {
@@ -190,11 +198,31 @@ function renderStage(loops, refit) {
       lift: liftPerSubmap(),
       frame: model.frame,
       corrected: model.corrected,
+      faults: model.faults,
     });
+    renderFaults();
   }
   Object.assign(document.body.dataset, { submaps, drawnSubmaps: view?.places.size ?? 0, drawnLoops: view?.drawnLoops ?? 0, listedLoops: loops.length });
   tellCaption(every, drawn);
   tellEmpty(submaps);
+}
+
+/** A word at each fault of odometry that is drawn; it moves with the camera. */
+function renderFaults() {
+  byId("faults").replaceChildren(
+    ...view.faultMarks.map(({ fault }) => element("li", { title: `${lastOf(fault.session)}: ${fault.message}` }, `${lastOf(fault.session)}: ${faultOf(fault)}`)),
+  );
+  document.body.dataset.drawnFaults = String(view.faultMarks.length);
+  placeFaults(view);
+}
+
+function placeFaults(of) {
+  [...byId("faults").children].forEach((label, index) => {
+    const at = of.project(of.faultMarks[index].at);
+    label.hidden = at.hidden;
+    label.style.left = `${Math.round(at.x)}px`;
+    label.style.top = `${Math.round(at.y)}px`;
+  });
 }
 
 function liftPerSubmap() {
@@ -269,10 +297,12 @@ function renderSessions() {
     if (session.state === "ACTIVE") detail.push("open");
     const why = whyNoLoops(session);
     if (why) detail.push("no loop");
+    const faults = model.faults.filter((fault) => fault.session === session.name);
+    detail.push(...faults.map(faultOf));
     return element(
       "li",
       { colour: sessionColour(index), class: shown ? null : "off" },
-      element("label", { for: `session-${index}` }, box, element("i", { class: "swatch" }), element("span", { class: "name" }, lastOf(session.name)), element("small", { title: why || null }, detail.join(" \u00b7 "))),
+      element("label", { for: `session-${index}` }, box, element("i", { class: "swatch" }), element("span", { class: "name" }, lastOf(session.name)), element("small", { title: [why, ...faults.map(({ message }) => message)].filter(Boolean).join("\n") || null }, detail.join(" \u00b7 "))),
       element("button", { type: "button", class: "link only", title: "Show this session alone", onclick: () => showAlone(session.name) }, "only"),
     );
   });
@@ -694,7 +724,10 @@ function tellScale(of) {
 }
 
 try {
-  view = new MapView(byId("view"), tellScale);
+  view = new MapView(byId("view"), (of) => {
+    tellScale(of);
+    placeFaults(of);
+  });
   connectStage();
 } catch {
   byId("view").hidden = true;

@@ -15,6 +15,7 @@ import { between, matrixOf, product } from "/frames.js";
 const NEAR_PX = 14;
 const NEAR_LOOP_PX = 7;
 const MOST_SURFACES = 250;
+const THROUGHOUT = new Set(["SCALE", "SLOPE", "HEADING"]);
 const SHAPES = { DESCRIBED: 0, QUEUED: 1, FAILED: 2 };
 
 const DOTS = {
@@ -73,13 +74,14 @@ export class MapView {
     this.surfaces = new THREE.Group();
     this.marks = new THREE.Group();
     this.dots = null;
+    this.faultMarks = [];
     this.grid = null;
     this.scene.add(this.surfaces, this.paths, this.loops, this.marks);
     this.scene.add(new THREE.HemisphereLight("#ffffff", "#66727e", 1.5));
     this.sun = new THREE.DirectionalLight("#ffffff", 1.5);
     this.sun.position.set(0.9, -1.2, 0.9);
     this.scene.add(this.sun);
-    this.map = { tracks: [], loops: [] };
+    this.map = { tracks: [], loops: [], faults: [] };
     this.places = new Map();
     this.surface = "none";
     this.asked = 0;
@@ -90,11 +92,11 @@ export class MapView {
   /**
    * `tracks` is [{ name, colour, submaps, T_drawing_odom }] of the visible sessions; `loops` [{ loop, state }]; `lift` in
    * metres a submap; `frame` is that of the map in which submaps are drawn, null for none, and `corrected` 0..1 how far
-   * they are there, on the way from where odometry has them.
+   * they are there, on the way from where odometry has them. `faults` are those of odometry.
    */
-  show({ tracks, loops, lift, frame = null, corrected = 1 }) {
+  show({ tracks, loops, lift, frame = null, corrected = 1, faults = [] }) {
     const first = !this.places.size;
-    this.map = { tracks, loops };
+    this.map = { tracks, loops, faults };
     this.place(lift, frame, corrected);
     this.drawPaths();
     this.drawLoops();
@@ -128,6 +130,7 @@ export class MapView {
       const line = track.submaps.flatMap((submap) => this.places.get(submap.name).at.toArray());
       if (line.length >= 6) this.paths.add(this.line(new LineGeometry().setPositions(line), track.colour, 2.6));
     }
+    this.drawFaults();
     const small = points.length > 600 ? 8 : points.length > 200 ? 10 : 12;
     const geometry = new THREE.BufferGeometry();
     const tints = points.map(({ submap, track }) => (submap.state === "FAILED" ? new THREE.Color(themed("--failed")) : new THREE.Color(track.colour)));
@@ -141,6 +144,23 @@ export class MapView {
     this.dots.renderOrder = 3;
     this.dots.frustumCulled = false;
     this.paths.add(this.dots);
+  }
+
+  /** The way on which odometry went wrong, or all of it; `faultMarks` are the middles. */
+  drawFaults() {
+    this.faultMarks = [];
+    for (const fault of this.map.faults ?? []) {
+      const track = this.map.tracks.find(({ name }) => name === fault.session);
+      const [first, last] = [fault.first_submap, fault.last_submap].map((name) => track?.submaps.findIndex((submap) => submap.name === name) ?? -1);
+      if (first < 0 || last <= first) continue;
+      const way = track.submaps.slice(first, last + 1).map((submap) => this.places.get(submap.name).at);
+      const throughout = THROUGHOUT.has(fault.kind);
+      const line = this.line(new LineGeometry().setPositions(way.flatMap((at) => at.toArray())), themed("--failed"), throughout ? 1.2 : 7);
+      if (!throughout) line.renderOrder = 2.5;
+      this.paths.add(line);
+      const at = way.length > 2 ? way[way.length >> 1].clone() : way[0].clone().add(way[1]).multiplyScalar(0.5);
+      this.faultMarks.push({ fault, at });
+    }
   }
 
   drawLoops() {

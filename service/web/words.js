@@ -28,6 +28,16 @@ export function stateOf(loop) {
   return loop.reason === "AMBIGUOUS" ? "ambiguous" : "rejected";
 }
 
+const FAULTS = { SLIP: "slip", JUMP: "jump", TURN: "turn", TILT: "tilt", SCALE: "scale off by", SLOPE: "slope", HEADING: "heading" };
+const DEGREES = 180 / Math.PI;
+
+/** A fault of odometry in a few words: `slip 4.9 m`. */
+export function faultOf({ kind, amount }) {
+  const size = Math.abs(amount);
+  const sizes = { SLIP: `${size.toFixed(1)} m`, JUMP: `${size.toFixed(1)} m`, HEADING: `${(size * DEGREES).toFixed(2)}\u00b0/m`, SCALE: `${(100 * size).toFixed(1)} %`, SLOPE: `${(100 * size).toFixed(1)} %` };
+  return `${FAULTS[kind] ?? kind.toLowerCase()} ${sizes[kind] ?? `${(size * DEGREES).toFixed(1)}\u00b0`}`;
+}
+
 /** A few words for a list. */
 export function verdictOf(loop) {
   const state = stateOf(loop);

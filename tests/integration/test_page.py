@@ -18,7 +18,7 @@ from revisit.api.scopes import Scope
 from revisit.formats.glb import encode_scene
 from tests.support.browser import Page, browser
 from tests.support.credentials import a_key
-from tests.support.fleet_in_service import fleet_in
+from tests.support.fleet_in_service import fleet_in, slipped_fleet_in
 from tests.support.live_service import live_service
 from tests.support.page_town import EACH_BY_ITSELF, fill
 from tests.support.patience import eventually, in_time
@@ -51,6 +51,27 @@ def page(chromium, service):
     shown = Page(chromium, service.http, "/#maps/town")
     shown.drawn()
     yield shown
+    shown.tab.close()
+
+
+def test_a_fault_of_odometry_is_marked_on_its_trajectory_in_words(chromium, service):
+    made = slipped_fleet_in(service.world, "slipped")
+    with Client(service.http) as client:
+        client.wait(client.optimise_map(made.name))
+    shown = Page(chromium, service.http, f"/#{made.name}")
+    shown.drawn()
+    label = shown.tab.get_by_text("s1: slip 4.9 m")
+    assert shown.data("drawn-faults") == "1" and label.is_visible()
+    assert "between submaps 029 and 030" in label.get_attribute("title")
+    assert "slip 4.9 m" in shown.tab.locator("#sessions li").nth(1).inner_text()
+
+    def is_beside() -> bool:
+        box, at = label.bounding_box(), shown.where(f"{made.name}/sessions/s1/submaps/030")
+        return abs(box["x"] + box["width"] / 2 - at[0]) < 60 and abs(box["y"] + box["height"] - at[1]) < 60
+
+    eventually(is_beside)
+    shown.tab.screenshot(path="/tmp/maps_page.png")
+    assert shown.complaints == []
     shown.tab.close()
 
 

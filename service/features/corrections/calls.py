@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from revisit.core.geometry.se3 import Matrix4, pose_matrix
 from revisit.service.domain.errors import NotReady
 from revisit.service.domain.identity import SessionKey, TenantId
-from revisit.service.domain.records import EarlyCorrectionRecord, SessionPosesRecord
+from revisit.service.domain.records import EarlyCorrectionRecord, MapVersionRecord, SessionPosesRecord
+from revisit.service.features.graph.odometry_faults import OdometryFaultView, faults_of
 from revisit.service.features.graph.session_poses import PackedSubmaps
 from revisit.service.features.resources.call_context import CallContext
 from revisit.service.features.waiting.event_tail import AGAIN_S, EventTail
@@ -30,7 +31,7 @@ class CorrectionView:
 
     Covariance (6, 6) of that submap's pose in the map: of (x, y, z, rx, ry, rz) in the submap's frame.
     `early_loops` is not 0 where single loops have moved the session since: then T_map_odom is as of its last submap of
-    all, until a version says more.
+    all, until a version says more. `odometry_faults` are those of the session by the version.
     """
 
     session: SessionKey
@@ -40,6 +41,7 @@ class CorrectionView:
     covariance: NDArray[np.float32]
     created_at_ns: int
     early_loops: int = 0
+    odometry_faults: tuple[OdometryFaultView, ...] = ()
 
 
 class Corrections:
@@ -79,7 +81,8 @@ def _correction(uow: UnitOfWork, tenant: TenantId, key: SessionKey) -> Correctio
     row = uow.session_poses.get(tenant, key.map_id, version, key.session_id)
     if row is None:
         raise NotReady(f"no version of map {key.map_id} has session {key.session_id} yet")
-    return _view(row, uow.early_corrections.get(tenant, key.map_id, key.session_id))
+    of_version = uow.map_versions.get(tenant, key.map_id, version)
+    return _view(uow, row, uow.early_corrections.get(tenant, key.map_id, key.session_id), of_version)
 
 
 def _newer(
@@ -95,12 +98,16 @@ def _newer(
     if version <= after and loops == {name: known for name, known in early.items() if known}:
         return after, []
     rows = uow.session_poses.find(tenant, map_id=map_id, version=version, **of_session)
-    views = [_view(row, ahead.get(row.session_id)) for row in sorted(rows, key=lambda row: row.session_number)]
+    rows = sorted(rows, key=lambda row: row.session_number)
+    of_version = uow.map_versions.get(tenant, map_id, version)
+    views = [_view(uow, row, ahead.get(row.session_id), of_version) for row in rows]
     changed = [view for view in views if version > after or view.early_loops != early.get(view.session.session_id, 0)]
     return max(version, after), changed
 
 
-def _view(row: SessionPosesRecord, ahead: EarlyCorrectionRecord | None) -> CorrectionView:
+def _view(
+    uow: UnitOfWork, row: SessionPosesRecord, ahead: EarlyCorrectionRecord | None, version: MapVersionRecord | None
+) -> CorrectionView:
     early = ahead if ahead is not None and ahead.version == row.version else None
     return CorrectionView(
         session=SessionKey(row.map_id, row.session_id),
@@ -110,4 +117,5 @@ def _view(row: SessionPosesRecord, ahead: EarlyCorrectionRecord | None) -> Corre
         covariance=PackedSubmaps.of(row.submaps).covariances[-1],
         created_at_ns=row.created_at_ns if early is None else early.created_at_ns,
         early_loops=0 if early is None else early.loops,
+        odometry_faults=faults_of(uow, version, row.session_id),
     )

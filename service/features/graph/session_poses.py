@@ -15,7 +15,7 @@ from revisit.core.geometry.se3 import Matrix4
 from revisit.core.pose_graph.graph import GraphState
 from revisit.service.domain.identity import SessionKey, TenantId
 from revisit.service.domain.records import MapVersionRecord
-from revisit.service.ports.map_optimiser import REFUSED_JOINS, JudgedLoop
+from revisit.service.ports.map_optimiser import FAULTS, REFUSED_JOINS, JudgedLoop
 from revisit.service.ports.transactions import UnitOfWork
 
 _SUBMAP = np.dtype([("number", "<i8"), ("T_map_submap", "<f8", (4, 4)), ("covariance", "<f4", (6, 6))])
@@ -107,16 +107,18 @@ def forget_submap(uow: UnitOfWork, tenant: TenantId, map_id: str, session_id: st
     forget_in_summaries(uow, tenant, map_id, forgotten)
 
 
-def _refused_of(summary: Mapping[str, Any], sessions: Collection[str]) -> dict[str, Any]:
-    """The refused joins of a summary, if there are any, between the sessions of these names."""
-    if REFUSED_JOINS not in summary:
-        return {}
+def _of_sessions(summary: Mapping[str, Any], sessions: Collection[str]) -> dict[str, Any]:
+    """The refused joins and faults of odometry of a summary, if there are any, of the sessions of these names."""
     sides = ("sessions", "other_sessions")
     joins = [
         {**join, **{side: [name for name in join[side] if name in sessions] for side in sides}}
-        for join in summary[REFUSED_JOINS]
+        for join in summary.get(REFUSED_JOINS, ())
     ]
-    return {REFUSED_JOINS: [join for join in joins if all(join[side] for side in sides)]}
+    left = {
+        REFUSED_JOINS: [join for join in joins if all(join[side] for side in sides)],
+        FAULTS: [fault for fault in summary.get(FAULTS, ()) if fault["session"] in sessions],
+    }
+    return {name: its for name, its in left.items() if name in summary}
 
 
 def forget_in_summaries(uow: UnitOfWork, tenant: TenantId, map_id: str, submaps: Mapping[int, int]) -> None:
@@ -136,7 +138,7 @@ def forget_in_summaries(uow: UnitOfWork, tenant: TenantId, map_id: str, submaps:
         summary = {
             **row.summary,
             **loops,
-            **_refused_of(row.summary, {SessionKey(map_id, one).name for one in sessions}),
+            **_of_sessions(row.summary, {SessionKey(map_id, one).name for one in sessions}),
             "sessions": len(sessions),
             "frames": len(uow.session_poses.distinct(tenant, "frame", **of_version)),
             "submaps": row.summary["submaps"] - submaps[version],

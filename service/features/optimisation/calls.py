@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -18,6 +18,7 @@ from revisit.service.domain.states import LoopState
 from revisit.service.failpoints import failpoint
 from revisit.service.features.audit import calls as audit
 from revisit.service.features.audit.calls import AuditEntry
+from revisit.service.features.graph.odometry_faults import faults_of
 from revisit.service.features.graph.posting import (
     brought_forward,
     drop_waiting,
@@ -190,10 +191,16 @@ def _view(uow: UnitOfWork, record: MapRecord, row: MapVersionRecord) -> MapVersi
         restored_from=row.restored_from,
         content_hash=hash_of_version(row, hashes),
         operation_id=row.operation_id,
-        summary={name: its for name, its in row.summary.items() if name not in (AUDITED, FAULTS)},
+        summary=_told(uow, row),
         created_at_ns=row.created_at_ns,
         number=row.number,
     )
+
+
+def _told(uow: UnitOfWork, row: MapVersionRecord) -> dict[str, Any]:
+    """The fields of a MapVersionSummary."""
+    summary = {name: its for name, its in row.summary.items() if name != AUDITED}
+    return {**summary, FAULTS: [asdict(fault) for fault in faults_of(uow, row)]}
 
 
 def _sessions(uow: UnitOfWork, row: MapVersionRecord) -> list[SessionPosesRecord]:

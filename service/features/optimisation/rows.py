@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from revisit.core.geometry.se3 import pose_row
-from revisit.core.pose_graph.faults import OdometryFault
 from revisit.core.pose_graph.graph import GraphState
 from revisit.service.domain.identity import SessionKey, TenantId
 from revisit.service.domain.policy import Policy
@@ -20,6 +19,7 @@ from revisit.service.domain.states import LoopEventKind
 from revisit.service.failpoints import failpoint
 from revisit.service.features.graph.map_frames import frame_name
 from revisit.service.features.graph.map_jobs import recall_loops
+from revisit.service.features.graph.odometry_faults import stored_faults
 from revisit.service.features.graph.reading import MapTask
 from revisit.service.features.graph.session_poses import (
     PackedSubmaps,
@@ -79,7 +79,7 @@ class VersionCommit:
         version = add_version(uow, current, self.task, self.optimised, summary, operation_id, self.now_ns)
         forget_versions(uow, current.tenant, current.map_id, version - self.policy.map_versions_kept)
         recall_loops(uow, current.tenant, current.map_id, self.policy, self.now_ns)
-        details = {name: its for name, its in summary.items() if name != AUDITED}
+        details = {name: its for name, its in summary.items() if name not in (AUDITED, FAULTS)}
         self._end(uow, {"version": f"maps/{current.map_id}/versions/{version}", **details})
 
     def _end(self, uow: UnitOfWork, result: dict[str, Any]) -> None:
@@ -197,15 +197,10 @@ def summary_of(task: MapTask, tracks: Sequence[OptimisedTrack], optimised: Optim
         "degrees_of_freedom": optimised.degrees_of_freedom,
         "mean_change_m": float(changes.mean()) if len(changes) else None,
         "max_change_m": float(changes.max()) if len(changes) else None,
-        **({FAULTS: [_stored_fault(fault) for fault in optimised.faults]} if optimised.faults else {}),
+        **({FAULTS: stored_faults(task, optimised.faults)} if optimised.faults else {}),
         **({AUDITED: {str(one): count for one, count in optimised.audited.items()}} if optimised.audited else {}),
         **({REFUSED_JOINS: [_stored(task, one) for one in optimised.refused_joins]} if optimised.refused_joins else {}),
     }
-
-
-def _stored_fault(fault: OdometryFault) -> dict[str, Any]:
-    fields = asdict(fault)
-    return {"session_number": int(fields.pop("session")), **fields}
 
 
 def _stored(task: MapTask, join: RefusedJoin) -> dict[str, Any]:

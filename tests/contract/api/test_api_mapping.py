@@ -86,8 +86,30 @@ def test_a_slip_of_odometry_is_mended_and_a_finding_of_its_session(service, clie
     assert fleet.fleet.error_m(fleet.poses(client.submap_poses(version))) < 0.5
     (finding,) = of_odometry(sessions["s1"])
     assert finding.code == "odometry_slip"
-    assert "between submaps 30 and 31" in finding.cause and "4.9 m" in finding.cause
+    assert "between submaps 029 and 030" in finding.cause and "4.9 m" in finding.cause
     assert of_odometry(sessions["s0"]) == []
+    fault = finding.odometry_fault
+    ends = [f"{sessions['s1']}/submaps/{name}" for name in ("029", "030")]
+    assert (fault.session, fault.kind, fault.submaps) == (sessions["s1"], "SLIP", 2)
+    assert [fault.first_submap, fault.last_submap] == ends
+    assert fault.amount == pytest.approx(4.9, abs=0.2) and 0.0 < fault.sigma < 0.2 and fault.loops > 10
+
+
+def test_a_fault_of_odometry_is_told_by_version_and_correction(service, client):
+    fleet = slipped_fleet_in(service.world, f"slipped-{next(_numbers)}")
+    version = optimised(client, fleet.name)
+    (fault,) = version.summary.odometry_faults
+    assert (fault.kind, fault.session) == ("SLIP", f"{fleet.name}/sessions/s1")
+    told = {one: client.correction(f"{fleet.name}/sessions/{one}").odometry_faults for one in ("s0", "s1")}
+    assert told == {"s0": (), "s1": (fault,)}
+    with client.watch_corrections(fleet.name) as watch:
+        streamed = {one.session[-2:]: one.odometry_faults for one in itertools.islice(watch, 2)}
+    assert streamed == told
+    client.submaps.delete(fault.last_submap)
+    (left,) = client.get_map_version(version.name).summary.odometry_faults
+    assert (left.first_submap, left.last_submap) == (fault.first_submap, "") and "between" not in left.message
+    client.sessions.delete(fault.session)
+    assert client.get_map_version(version.name).summary.odometry_faults == ()
 
 
 def test_a_correction_maps_odometry_into_the_map(client, fleet):

@@ -72,6 +72,12 @@ def climbing(rise: float) -> Motion:
 FAULTS = {
     "a slip of 2 m": (FaultKind.SLIP, 2.0, at_once(se3.from_yaw(0.0, (-2.0, 0.0, 0.0)))),
     "a slip of 5 m": (FaultKind.SLIP, 5.0, at_once(se3.from_yaw(0.0, (-5.0, 0.0, 0.0)))),
+    "a slip of 5 m with a tilt of 2.3 degrees": (
+        FaultKind.SLIP, 5.0, at_once(se3.exp([-5, 0, 0, 0, np.radians(2.3), 0]))
+    ),
+    "a slip of 5 m with a turn of 2.3 degrees": (
+        FaultKind.SLIP, 5.0, at_once(se3.exp([-5, 0, 0, 0, 0, np.radians(2.3)]))
+    ),
     "a jump of 10 m": (FaultKind.JUMP, 10.4, at_once(se3.from_yaw(0.0, (3.0, 10.0, 0.0)))),
     "a turn of 20 degrees": (FaultKind.TURN, np.radians(20.0), at_once(se3.from_yaw(np.radians(20.0)))),
     "a tilt of 6 degrees": (FaultKind.TILT, np.radians(6.0), at_once(se3.exp([0, 0, 0, 0, np.radians(6.0), 0]))),
@@ -129,6 +135,16 @@ def test_where_no_loop_tells_the_whole_stretch_is_unsure() -> None:
     assert fault.first < AT - 1 and fault.last > AT
     inside = np.sqrt(answer.covariances[fault.session][AT, :3, :3].trace())
     assert apart_m(answer) < 3.0 * inside
+
+
+def test_a_turn_somewhere_on_a_way_without_loops_is_a_turn() -> None:
+    """Its end is 7 m aside then, which no jump has done."""
+    poses, silent = winding_way(), range(AT - 2, AT + 3)
+    turning = odometry("b", poses, 2, FAULTS["a turn of 20 degrees"][2])
+    right = [one for one in loops(poses) if one.match.ordinal not in silent]
+    (fault,) = optimise(PoseGraph.of([odometry("a", poses, 1), turning], right)).faults
+    assert (fault.kind, fault.session) == (FaultKind.TURN, "b")
+    assert fault.amount == pytest.approx(np.radians(20.0), rel=0.1)
 
 
 def misplaced(stretch: range, aside_m: float) -> list[LoopEdge]:
