@@ -10,6 +10,9 @@ from typing import Any, cast
 
 ROOT = Path(__file__).resolve().parent.parent
 
+INSIDE = {"RevisitError", "Unavailable", "StaleLease", "OutOfTurn"}
+"""Errors that clients see under other names, or not at all."""
+
 OF_THE_MACHINE = {"workers": "one less than the cores, at least 1"}
 """Defaults of settings that are not the same everywhere."""
 
@@ -274,7 +277,7 @@ def _meanings() -> Iterator[tuple[str, list[str]]]:
             if inspect.isclass(kind) and issubclass(kind, of_core.RevisitError) and kind.__doc__:
                 texts = found.setdefault(kind.code.value, [])
                 if kind.__module__ == module.__name__ and (text := " ".join(inspect.cleandoc(kind.__doc__).split())):
-                    texts += [text] if kind.__name__ not in {"RevisitError", "Unavailable", "StaleLease"} else []
+                    texts += [text] if kind.__name__ not in INSIDE else []
     yield from found.items()
 
 

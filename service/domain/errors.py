@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
+
 from revisit.core.errors import ErrorCode, RevisitError
 
 
@@ -77,6 +79,15 @@ class Unavailable(RevisitError):
         """`retry_after_s` is a hint for the client, seconds."""
         super().__init__(message)
         self.retry_after_s = retry_after_s
+
+
+class OutOfTurn(Unavailable):
+    """A job cannot end before these operations, of its own tenant, have ended, and not all of them are under way."""
+
+    def __init__(self, message: str, operation_ids: Collection[str]) -> None:
+        """The job is to run again once `operation_ids` may have begun."""
+        super().__init__(message)
+        self.operation_ids = operation_ids
 
 
 class WorkersBusy(Unavailable):

@@ -8,7 +8,7 @@ left is a dead letter.
 from __future__ import annotations
 
 import secrets
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import replace
 from typing import Any, Protocol
 
@@ -82,6 +82,12 @@ class LeasedJobs:
             job = replace(job, claimed_ms=now_ms, not_before_ms=now_ms + delay_ms)
         return self._jobs.add(job)
 
+    def under_way(self, tenant: TenantId, operation_ids: Collection[str]) -> frozenset[str]:
+        """See `JobQueue`."""
+        now_ms = self._now_ms()
+        running = (job for job in self._found(tenant, operation_ids) if job.state == OperationState.RUNNING)
+        return frozenset(job.operation_id for job in running if job.lease_expires_ms > now_ms)
+
     def waits(self) -> bool:
         """See `JobQueue`."""
         now_ms = self._now_ms()
@@ -131,6 +137,14 @@ class LeasedJobs:
         self._turns.end(job.tenant, job.lease_owner, self._now_ms() - job.claimed_ms)
         done, ended_ns = OperationState.DONE.value, self._clock.wall_ns()
         self._jobs.exchange(job, replace(job, state=done, result=result, failure_message=None, finished_at_ns=ended_ns))
+
+    def put_back(self, lease: Lease, behind: Collection[str]) -> None:
+        """See `JobQueue`."""
+        held, now_ms = self._held(lease), self._now_ms()
+        self._turns.end(held.tenant, held.lease_owner, now_ms - held.claimed_ms)
+        due_ms = max(job.not_before_ms for job in (held, *self._found(held.tenant, behind)))
+        due_ms = max(due_ms, now_ms + RETRY_DELAY_MS)
+        self._jobs.exchange(held, _queued(replace(held, attempts=held.attempts - 1), due_ms))
 
     def fail(self, lease: Lease, code: str, message: str, *, retry: bool, innocent: bool = False) -> bool:
         """See `JobQueue`."""
@@ -183,6 +197,10 @@ class LeasedJobs:
         found = ((turn, self._jobs.next_runnable(now_ms, turn.tenant, hold=hold)) for turn in self._turns.order())
         return next(((turn, job) for turn, job in found if job is not None), None)
 
+    def _found(self, tenant: TenantId, operation_ids: Collection[str]) -> list[JobRecord]:
+        jobs = (self._jobs.get(tenant, operation_id) for operation_id in operation_ids)
+        return [job for job in jobs if job is not None]
+
     def _held(self, lease: Lease) -> JobRecord:
         """The stored job, if `lease` is still its newest. Raises StaleLease."""
         job = self._jobs.get(lease.job.tenant, lease.job.operation_id, hold=True)
@@ -201,8 +219,11 @@ def _queued_again(job: JobRecord, now_ms: int) -> JobRecord:
 
     The pause grows with the attempts and is no shorter than the run was.
     """
-    later_ms = now_ms + max(RETRY_DELAY_MS * job.attempts, now_ms - job.claimed_ms)
-    return replace(job, state=OperationState.QUEUED.value, not_before_ms=later_ms)
+    return _queued(job, now_ms + max(RETRY_DELAY_MS * job.attempts, now_ms - job.claimed_ms))
+
+
+def _queued(job: JobRecord, due_ms: int) -> JobRecord:
+    return replace(job, state=OperationState.QUEUED.value, not_before_ms=due_ms)
 
 
 def _last_end(job: JobRecord) -> str:

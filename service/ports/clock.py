@@ -18,3 +18,7 @@ class Clock(Protocol):
     def monotonic_ms(self) -> int:
         """Milliseconds of a clock that is never set."""
         ...
+
+    def sleep(self, duration_s: float) -> None:
+        """Block this thread for so many seconds."""
+        ...

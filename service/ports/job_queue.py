@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass
 from typing import Any, Protocol
 
+from revisit.service.domain.identity import TenantId
 from revisit.service.domain.records import JobRecord, TurnRecord, WorkerRecord
 
 CANCELLED = {"outcome": "the operation was cancelled"}
@@ -75,7 +77,22 @@ class ReportedRuns(Protocol):
         ...
 
 
-class JobQueue(LeasedRuns, LostRuns, ReportedRuns, Protocol):
+class RunsInTurn(Protocol):
+    """Runs that cannot end before others have ended."""
+
+    def under_way(self, tenant: TenantId, operation_ids: Collection[str]) -> frozenset[str]:
+        """Those of these operations that run on a lease that has not run out."""
+        ...
+
+    def put_back(self, lease: Lease, behind: Collection[str]) -> None:
+        """End a run that waits for other operations of its tenant, `behind`: it was no attempt. Raises StaleLease.
+
+        The job is due again in a moment, but no sooner than they.
+        """
+        ...
+
+
+class JobQueue(LeasedRuns, LostRuns, ReportedRuns, RunsInTurn, Protocol):
     """Jobs in the same transaction as the rows they belong to; at least one run, at most one effect."""
 
     def enqueue(self, job: JobRecord, *, delay_ms: int = 0) -> JobRecord:

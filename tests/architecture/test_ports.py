@@ -19,18 +19,22 @@ MOST_MEMBERS = 6
 LARGER = {
     "UnitOfWork": 26,  # one property for each kind of record, and `everything`; no method
     "Repository": 14,  # any kind of record
-    "SubmapRepository": 23,
-    "JobRepository": 18,
-    "ScanRepository": 18,
+    "SubmapRepository": 23,  # nine reads that are no list of rows, each of one or two features
+    "JobRepository": 17,
+    "ScanRepository": 17,
     "LoopRepository": 16,
     "WebhookRepository": 17,
-    "AwaitedJobs": 16,
-    "JobQueue": 11,
+    "AwaitedJobs": 15,
+    "JobQueue": 13,  # four smaller ports by their user: worker, supervisor, progress, drives in turn
     "VectorIndex": 11,
     "PlaceRecogniser": 7,
     "BlobStore": 7,
 }
-"""Members of the ports that are large. An adapter has to write all of them: a number here grows only with a reason."""
+"""The members of each large port, exactly. An adapter has to write all of them: a number here grows only with a reason.
+
+A feature is given a whole `UnitOfWork`, since most transactions change several kinds of records; what one asks of it,
+`UnitOfWork`'s properties say in its code.
+"""
 
 
 def ports() -> list[type]:
@@ -59,7 +63,8 @@ def members(port: type) -> set[str]:
 
 @pytest.mark.parametrize("port", ports(), ids=lambda port: port.__name__)
 def test_a_port_has_few_members_those_of_its_parents_included(port):
-    assert 1 <= len(members(port)) <= LARGER.get(port.__name__, MOST_MEMBERS), sorted(members(port))
+    most, exact = MOST_MEMBERS, LARGER.get(port.__name__)
+    assert len(members(port)) in ([exact] if exact else range(1, most + 1)), sorted(members(port))
 
 
 def test_a_port_that_became_small_is_no_exception_any_more():

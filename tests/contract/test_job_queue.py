@@ -33,6 +33,14 @@ def queue(write, clock):
             at(ms)
             return write(lambda uow: uow.queue.fail(lease, "INTERNAL", "why", **how))
 
+        def put_back(self, lease, *behind, ms=0):
+            at(ms)
+            write(lambda uow: uow.queue.put_back(lease, behind))
+
+        def under_way(self, *ids, ms=0):
+            at(ms)
+            return write(lambda uow: uow.queue.under_way(TENANT, ids))
+
         def complete(self, lease, ms=0):
             at(ms)
             write(lambda uow: uow.queue.complete(lease, {"ok": True}))
@@ -404,3 +412,37 @@ def test_of_the_operations_that_somebody_waits_for_those_are_told_that_wait_or_r
     asked = {"op-0", "op-1", "op-2", "op-3", "foreign", "none"}
     assert read(lambda uow: uow.jobs.unfinished(TENANT, asked)) == {"op-0", "op-1"}
     assert read(lambda uow: uow.jobs.unfinished(TENANT, {"op-1"})) == {"op-1"}
+
+
+def test_a_job_is_under_way_from_its_claim_to_its_end_or_to_the_end_of_its_lease(queue):
+    queue.enqueue("op-1", "op-2", "op-3")
+    assert queue.under_way("op-1", "op-2") == frozenset()
+    first, _ = queue.claim(ms=5), queue.claim(ms=7)
+    asked = "op-1", "op-2", "op-3", "unknown"
+    assert queue.under_way(*asked, ms=4 + LEASE_MS) == {"op-1", "op-2"}
+    assert queue.under_way(*asked, ms=5 + LEASE_MS) == {"op-2"}
+    queue.extend(first, ms=6 + LEASE_MS)
+    assert queue.under_way(*asked, ms=7 + LEASE_MS) == {"op-1"}
+    queue.complete(first, ms=8 + LEASE_MS)
+    assert queue.under_way(*asked, ms=8 + LEASE_MS) == frozenset()
+
+
+def test_a_run_that_waits_for_another_job_is_no_attempt_and_comes_again_in_a_moment_but_not_before_that(queue, read):
+    queue.enqueue("op-1", "op-2")
+    hung, waiting = queue.claim(ms=0), queue.claim(ms=0, owner="w2")
+    queue.put_back(waiting, "op-1", ms=5_000)
+    assert stored(read, "op-2").attempts == 0
+    assert queue.claim(ms=5_499) is None
+    waiting = queue.claim(ms=5_500)
+    queue.fail(hung, ms=6_000)
+    queue.put_back(waiting, "op-1", ms=6_000)
+    assert queue.claim(ms=11_999) is None
+    assert [queue.claim(ms=12_000).job.operation_id for _ in range(2)] == ["op-1", "op-2"]
+
+
+def test_a_late_run_puts_nothing_back(queue, read):
+    queue.enqueue("op-1")
+    late, newest = queue.claim(ms=0), queue.claim(ms=LEASE_MS, owner="w2")
+    with pytest.raises(StaleLease):
+        queue.put_back(late, ms=LEASE_MS)
+    assert stored(read).lease_id == newest.job.lease_id

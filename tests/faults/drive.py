@@ -34,6 +34,7 @@ from tests.faults.history import History, Kind, Outcome
 from tests.support.fake_merger import EasyMerger
 from tests.support.fake_recogniser import CANNOT_BE_DESCRIBED
 from tests.support.service_world import TENANT, World, cloud_points, open_session, scan, sqlite_world, submap
+from tests.support.stepped_clock import PassingClock
 
 POSTED = SessionKey("town", "posted")
 STREAMED = SessionKey("town", "streamed")
@@ -145,8 +146,7 @@ async def _merge_and_take_back(world: World, history: History) -> None:
 def undisturbed(home: Path, log: Path, boot: str = "boot-1") -> None:
     """A drive from its beginning to its end over the store in `home`; what happened is appended to `log`."""
     migrate(home / "revisit.db")
-    world = sqlite_world(home)
-    world.clock.boot_id = boot
+    world = sqlite_world(home, clock=PassingClock(boot_id=boot))
     try:
         asyncio.run(drive(world, History(log)))
     finally:

@@ -252,7 +252,11 @@ SABOTAGES = (
     ),
     Sabotage(
         "loops do not wait for those that decide about them",
-        {f"{SERVICE}features.recognition.turns:_states": lambda _states: lambda _uow, _submaps: set()},
+        {
+            f"{SERVICE}features.recognition.turns:_drive": lambda drive: (
+                lambda uow, **of: (drive(uow, **of)[0], frozenset(), frozenset())
+            )
+        },
         "tests/integration/test_order_of_entry.py::"
         "test_loops_wait_for_those_that_decide_about_them_also_where_a_worker_ends",
         quick=True,

@@ -23,6 +23,7 @@ from tests.support.drives_on_a_road import (
 from tests.support.fake_recogniser import FakeRecogniser
 from tests.support.memory.vector_index import MemoryVectorIndex
 from tests.support.service_world import SESSION, TENANT, World, memory_world, posted, sqlite_world, submap
+from tests.support.stepped_clock import PassingClock
 
 DRIVES, WORKERS = 8, 8
 EVERY_PAIR = replace(PipelineConfig(), loop=replace(PipelineConfig().loop, candidates=1000, enough=0))
@@ -157,31 +158,58 @@ async def test_a_submap_that_cannot_be_compared_leaves_the_map_again():
     assert ("monday", "d") in {match for query, match in loops_of(world) if query == ("monday", "c")}
 
 
-async def test_loops_wait_for_those_that_decide_about_them_also_where_a_worker_ends():
+class EndsHere(RoadRecogniser):
+    """Describes, and ends its worker where a pair is compared."""
+
+    verify = ends
+
+
+async def two_drives(world: World) -> dict[tuple[str, str], Lease]:
+    """Two drives are posted and every job is leased; the loops of the first drive are found."""
     poses = drives(2, 6)
-    world = memory_world()
     await post_drives(world, poses)
-    leases, (first, second) = leased(world), (session.session_id for session in poses)
+    leases, (first, _) = leased(world), (session.session_id for session in poses)
     worker = world.worker(RoadRecogniser())
     for number in range(6):
         worker.run(leases[first, f"s{number:04d}"])
+    return leases
 
-    class EndsHere(RoadRecogniser):
-        verify = ends
 
-    before, after = leases[second, "s0002"], leases[second, "s0003"]
+async def test_loops_wait_for_those_that_decide_about_them_also_where_a_worker_ends():
+    world = memory_world()
+    leases = await two_drives(world)
+    before, after = leases["drive-1", "s0002"], leases["drive-1", "s0003"]
     with pytest.raises(WorkerEnds):
         world.worker(EndsHere()).run(before)
     world.context.transactions.write(lambda uow: uow.queue.release(before.job.lease_owner, "it ended")).result()
-    worker.run(after)
+    world.worker(RoadRecogniser()).run(after)
     operation = await world.use_cases.operations.get(TENANT, after.job.operation_id)
-    assert (operation.state, operation.attempts) == (OperationState.QUEUED, 1)
-    assert not any(query == (second, "s0003") for query, _ in loops_of(world))
+    assert (operation.state, operation.attempts) == (OperationState.QUEUED, 0)
+    assert not any(query == ("drive-1", "s0003") for query, _ in loops_of(world))
     world.clock.ms += 2 * world.context.policy.lease_ms
     world.work_off(RoadRecogniser())
     order = submaps_of(world)
     assert all(one.searched for one in order)
-    assert loops_of(world) == loops_of(await one_after_the_other(poses, order))
+    assert loops_of(world) == loops_of(await one_after_the_other(drives(2, 6), order))
+
+
+async def test_a_run_waits_for_one_that_is_gone_until_the_lease_of_that_ends_and_comes_right_behind_it():
+    world = memory_world(PassingClock())
+    leases = await two_drives(world)
+    before, after = leases["drive-1", "s0002"], leases["drive-1", "s0003"]
+    with pytest.raises(WorkerEnds):
+        world.worker(EndsHere()).run(before)
+    began_ms, lease_ms = world.clock.ms, world.context.policy.lease_ms
+    worker = world.worker(RoadRecogniser())
+    worker.run(after)
+    assert lease_ms <= world.clock.ms - began_ms <= 1.1 * lease_ms
+    due = leased(world)
+    assert "s0002" in (submaps := [submap_id for _, submap_id in due]) and "s0003" not in submaps
+    worker.run(due["drive-1", "s0002"])
+    world.clock.ms += 500
+    worker.run(world.claim())
+    entered = [one for one in submaps_of(world) if one.session_id == "drive-1" and one.entered]
+    assert [(one.submap_id, one.searched) for one in entered] == [("s0002", True), ("s0003", True)]
 
 
 async def test_a_session_that_still_searches_for_loops_does_not_say_that_it_has_none(monkeypatch):

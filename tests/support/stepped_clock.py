@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from dataclasses import dataclass
 
 
@@ -20,3 +21,16 @@ class SteppedClock:
     def monotonic_ms(self) -> int:
         """See `Clock`."""
         return self.ms
+
+    def sleep(self, duration_s: float) -> None:
+        """See `Clock`: takes its time, and moves no clock."""
+        time.sleep(duration_s)
+
+
+@dataclass
+class PassingClock(SteppedClock):
+    """Sleeping takes no time, and moves the clock: for a world in which only one thread works."""
+
+    def sleep(self, duration_s: float) -> None:
+        """See `Clock`."""
+        self.ms += round(1000 * duration_s)

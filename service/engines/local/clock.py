@@ -34,3 +34,7 @@ class SystemClock:
     def monotonic_ms(self) -> int:
         """See `Clock`."""
         return time.monotonic_ns() // 1_000_000
+
+    def sleep(self, duration_s: float) -> None:
+        """See `Clock`."""
+        time.sleep(duration_s)

@@ -8,7 +8,7 @@ from functools import partial
 import structlog
 
 from revisit.core.errors import ErrorCode, MissingLibrary, RevisitError
-from revisit.service.domain.errors import ExtraMissing, StaleLease, StorageFull, Unavailable
+from revisit.service.domain.errors import ExtraMissing, OutOfTurn, StaleLease, StorageFull, Unavailable
 from revisit.service.domain.states import OperationKind
 from revisit.service.failpoints import failpoint
 from revisit.service.features.operations.dead_letters import mark_subject_failed
@@ -39,6 +39,8 @@ class JobRunner:
             failpoint("job.after_commit")
         except StaleLease:
             log.warning("result_refused", operation=lease.job.operation_id, lease=lease.job.lease_id)
+        except OutOfTurn as error:
+            self._put_back(lease, error)
         except RevisitError as error:
             # A store that is full, or does not answer, says nothing about the job.
             of_storage = isinstance(error, Unavailable | StorageFull)
@@ -51,6 +53,10 @@ class JobRunner:
             log.exception("job_crashed", operation=lease.job.operation_id)
             self.fail(lease, f"{type(error).__name__}: {error}"[:500])
 
+    def _put_back(self, lease: Lease, error: OutOfTurn) -> None:
+        log.info("job_put_back", operation=lease.job.operation_id, reason=error.message)
+        self._end(lease, lambda uow: uow.queue.put_back(lease, error.operation_ids))
+
     def fail(self, lease: Lease, message: str) -> None:
         """End this run of a job: back to the queue, or failed for good after its last attempt."""
         self._fail(lease, ErrorCode.INTERNAL, message, retry=True)
@@ -60,10 +66,13 @@ class JobRunner:
         failpoint("job.before_failure")
         current_request().span.fail(f"{code}: {message}")
         log.warning("job_failed", operation=lease.job.operation_id, code=code, reason=message, retry=retry)
+        self._end(lease, end)
+
+    def _end(self, lease: Lease, end: Callable[[UnitOfWork], None]) -> None:
         try:
             self._context.transactions.write(end).result()
         except StaleLease:
-            log.warning("failure_refused", operation=lease.job.operation_id, lease=lease.job.lease_id)
+            log.warning("end_refused", operation=lease.job.operation_id, lease=lease.job.lease_id)
 
     def _store_failure(
         self, uow: UnitOfWork, lease: Lease, code: ErrorCode, message: str, *, retry: bool, innocent: bool

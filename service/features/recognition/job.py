@@ -75,7 +75,7 @@ class SubmapDescriptionJob:
     def run(self, lease: Lease) -> None:
         """Describe and enter, search, verify and commit. Raises RevisitError where the submap cannot be described.
 
-        Raises Unavailable where loops that the rules ask for are not there yet, as another run of theirs has to begin.
+        Raises OutOfTurn where loops that the rules ask for are not there yet, and another run of theirs has to begin.
         """
         task = self._read(_task, lease)
         if task is None:
@@ -188,7 +188,7 @@ class SubmapDescriptionJob:
         """The claims of a query on `places` judged with its drive before it; and the rows of the earlier claims."""
         if not any(claim.hypotheses for claim in new):
             return Decided(new, {}), []  # then the drive before it need not be read
-        submap, before = query.submap, drive_in_turn(self._context.transactions, query.submap, config)
+        submap, before = query.submap, drive_in_turn(self._context, query.submap, config)
         pairs = [
             *(
                 (asked, RecalledPlace(match, loop.similarity))

@@ -5,46 +5,50 @@ Only loops of submaps that entered the map earlier count. The one that entered f
 
 from __future__ import annotations
 
-import time
-from collections.abc import Sequence
+from collections.abc import Iterator
 from functools import partial
 
 from revisit.core.config import PipelineConfig
-from revisit.service.domain.errors import Unavailable
+from revisit.service.domain.errors import OutOfTurn
 from revisit.service.domain.records import SubmapRecord
-from revisit.service.domain.states import OperationState
 from revisit.service.features.loops.claims import StoredDrive, drive_before
-from revisit.service.ports.transactions import Transactions, UnitOfWork
+from revisit.service.ports.job_context import JobContext
+from revisit.service.ports.transactions import UnitOfWork
 
 WAIT_S = 30.0
-"""A run waits for others no longer: it may be the worker that one of them needs."""
+"""A run waits for others no longer, so that its own time does not run out with one that hangs."""
 
 _PAUSE_S = (0.005, 0.25)
 
 
-def drive_in_turn(transactions: Transactions, submap: SubmapRecord, config: PipelineConfig) -> StoredDrive:
+def drive_in_turn(context: JobContext, submap: SubmapRecord, config: PipelineConfig) -> StoredDrive:
     """The drive before a submap once its loops are there.
 
-    Raises Unavailable where one of them is looked for by no run, or for too long: this run is repeated later.
+    Raises OutOfTurn where a run that looks for them has to begin first, maybe in this worker; or has taken too long.
     """
-    until_s, pause_s = time.monotonic() + WAIT_S, _PAUSE_S[0]
-    while True:
-        before, states = transactions.read(partial(_drive, submap=submap, config=config)).result()
-        if not states:
+    for pause_s in _pauses():
+        before, missing, begun = context.transactions.read(partial(_drive, submap=submap, config=config)).result()
+        if not missing:
             return before
-        if OperationState.QUEUED in states or time.monotonic() >= until_s:
-            name = before.unsearched[0].key.name
-            raise Unavailable(f"loops of {name} decide about those of {submap.submap_id}, and are not there yet")
-        time.sleep(pause_s)
+        if missing - begun:
+            break
+        context.clock.sleep(pause_s)
+    name = before.unsearched[0].key.name
+    raise OutOfTurn(f"loops of {name} decide about those of {submap.submap_id}, and are not there yet", missing)
+
+
+def _pauses() -> Iterator[float]:
+    pause_s, rest_s = _PAUSE_S[0], WAIT_S
+    while rest_s > 0.0:
+        yield pause_s
+        rest_s -= pause_s
         pause_s = min(1.5 * pause_s, _PAUSE_S[1])
 
 
-def _drive(uow: UnitOfWork, submap: SubmapRecord, config: PipelineConfig) -> tuple[StoredDrive, set[str]]:
-    """The drive, and the states of the jobs that look for the loops that it lacks."""
+def _drive(
+    uow: UnitOfWork, submap: SubmapRecord, config: PipelineConfig
+) -> tuple[StoredDrive, frozenset[str], frozenset[str]]:
+    """The drive; the operations that look for the loops that it lacks; those of them that are under way."""
     before = drive_before(uow, submap, config)
-    return before, _states(uow, before.unsearched)
-
-
-def _states(uow: UnitOfWork, submaps: Sequence[SubmapRecord]) -> set[str]:
-    jobs = (uow.jobs.get(one.tenant, one.operation_id) for one in submaps)
-    return {job.state for job in jobs if job is not None}
+    missing = uow.jobs.unfinished(submap.tenant, [one.operation_id for one in before.unsearched])
+    return before, missing, uow.queue.under_way(submap.tenant, missing)
