@@ -54,10 +54,9 @@ class Savepoints:
 
 @dataclass(frozen=True)
 class _Write(Generic[T]):
-    """Work to be committed; `alone`: in a transaction of its own."""
+    """Work to be committed."""
 
     work: Callable[[Connection], T]
-    alone: bool
     durable: bool
     future: Future[T] = field(default_factory=Future)
 
@@ -100,9 +99,9 @@ class GroupCommitter:
         self._thread = threading.Thread(target=self._run, name="writer", daemon=True)
         self._thread.start()
 
-    def submit(self, work: Callable[[Connection], T], *, alone: bool, durable: bool = True) -> Future[T]:
-        """Commit `work`; `alone`: it sees committed rows only; not `durable`: a power cut may undo it."""
-        write = _Write(work, alone, durable)
+    def submit(self, work: Callable[[Connection], T], *, durable: bool = True) -> Future[T]:
+        """Commit `work`; not `durable`: a power cut may undo it."""
+        write = _Write(work, durable)
         # It cannot be cancelled: a client that disconnects does not undo its request.
         write.future.set_running_or_notify_cancel()
         with self._submitting:
@@ -149,7 +148,7 @@ class GroupCommitter:
         """`first` and the writes queued behind it that may share its transaction."""
         yield first
         deadline = time.monotonic() + self._savepoints.group_s
-        for _ in range(0 if first.alone else MAX_GROUP - 1):
+        for _ in range(MAX_GROUP - 1):
             if time.monotonic() >= deadline:
                 return
             try:
@@ -158,9 +157,6 @@ class GroupCommitter:
                 return
             if write is None:
                 self._queue.put(None)
-                return
-            if write.alone:
-                self._waiting = write
                 return
             yield write
 

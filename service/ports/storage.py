@@ -38,11 +38,11 @@ class Storage:
     transactions: Transactions
     blobs: BlobStore
 
-    async def write(self, work: Callable[[UnitOfWork], T], *, alone: bool = False, durable: bool = True) -> T:
+    async def write(self, work: Callable[[UnitOfWork], T], *, durable: bool = True) -> T:
         """Commit `work` (see `Transactions.write`). A caller that is cancelled does not undo it."""
         # The writer has a thread of its own: the request's context goes there with the work.
         context = copy_context()
-        return await _outcome(self.transactions.write(lambda uow: context.run(work, uow), alone=alone, durable=durable))
+        return await _outcome(self.transactions.write(lambda uow: context.run(work, uow), durable=durable))
 
     async def read(self, work: Callable[[UnitOfWork], T]) -> T:
         """Run `work` on a snapshot."""

@@ -182,13 +182,13 @@ class Transactions(Protocol):
     that it holds (`RowReader.get`).
     """
 
-    def write(self, work: Callable[[UnitOfWork], T], *, alone: bool = False, durable: bool = True) -> Future[T]:
+    def write(self, work: Callable[[UnitOfWork], T], *, durable: bool = True) -> Future[T]:
         """Run `work` and commit durably before the future is done; an exception rolls back and is passed on.
 
-        Writes that wait at the same time share a transaction and see each other's changes. One with effects beyond a
-        rollback runs `alone`, and so sees committed rows only. One that is not `durable` need not survive a power cut.
-        Where another process is in the way, `work` is undone and runs again. Raises through the future: StorageFull,
-        StorageUncertain, DataLoss, and the errors of `work`.
+        Writes that wait at the same time share a transaction and see each other's changes: `work` has no effects beyond
+        a rollback. One that is not `durable` need not survive a power cut. Where another process is in the way, `work`
+        is undone and runs again. Raises through the future: StorageFull, StorageUncertain, DataLoss, and the errors of
+        `work`.
         """
         ...
 

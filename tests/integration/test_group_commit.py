@@ -17,11 +17,13 @@ from tests.support.made_database import made_database
 from tests.support.patience import PATIENCE_S
 from tests.support.records import TENANT, a_map
 
+LONG_S = 60.0
+
 
 @pytest.fixture
 def store(tmp_path, monkeypatch):
     """A store whose groups are closed by what waits alone, so that a slow machine does not part them."""
-    monkeypatch.setattr(group_commit, "MAX_GROUP_S", 60.0)
+    monkeypatch.setattr(group_commit, "MAX_GROUP_S", LONG_S)
     made_database(tmp_path / "test.db")
     opened = SqliteTransactions(tmp_path / "test.db", checkpoints=True)
     yield opened
@@ -46,16 +48,18 @@ def names(store) -> list[str]:
 
 
 class Held:
-    """A write that holds the writer until it is let go, so that what follows has to wait."""
+    """A write that holds the writer until it is let go, so that what follows has to wait, and is another group."""
 
     def __init__(self, store) -> None:
         self._entered, self._leave = threading.Event(), threading.Event()
-        self.future = store.write(self._wait, alone=True)
+        self.future = store.write(self._wait)
+        self.future.add_done_callback(lambda _: setattr(group_commit, "MAX_GROUP_S", LONG_S))
         assert self._entered.wait(PATIENCE_S)
 
     def _wait(self, uow) -> None:
         self._entered.set()
         assert self._leave.wait(PATIENCE_S)
+        group_commit.MAX_GROUP_S = 0.0  # of this group, until it is committed
 
     def release(self) -> None:
         self._leave.set()
@@ -104,15 +108,6 @@ def test_nobody_is_answered_before_the_commit_and_all_are_told_when_it_fails(sto
             future.result(PATIENCE_S)
     assert names(store) == []
     assert store.write(add("a")).result(PATIENCE_S).map_id == "a"
-
-
-def test_a_write_that_wants_to_be_alone_shares_its_transaction_with_nobody(store, commits):
-    held = Held(store)
-    futures = [store.write(add("a")), store.write(add("b"), alone=True), store.write(add("c"))]
-    held.release()
-    for future in futures:
-        future.result(PATIENCE_S)
-    assert len(commits) == 4
 
 
 def test_a_closed_store_finishes_what_is_queued_and_takes_nothing_more(tmp_path):

@@ -35,7 +35,7 @@ class World:
         """Work of a worker until so many bytes more have been written."""
         written, sent = 0, "v" * 100_000
         while written < bytes_more:
-            self.worker.write(lambda uow: uow.workers.beat("w", sent), alone=True).result()
+            self.worker.write(lambda uow: uow.workers.beat("w", sent)).result()
             written += len(sent)
 
     @property

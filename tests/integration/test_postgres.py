@@ -77,7 +77,7 @@ def test_a_member_that_has_to_wait_keeps_nobody_of_its_group_waiting(two):
     assert holds.wait(PATIENCE_S)
     with ThreadPoolExecutor(1) as pool:
         entered = threading.Event()
-        gate = other.write(lambda uow: entered.wait(PATIENCE_S), alone=True)
+        gate = other.write(lambda uow: entered.wait(PATIENCE_S))
         yard, town = other.write(lambda uow: counted(uow, "yard")), other.write(counted)
         entered.set()
         assert gate.result(PATIENCE_S)

@@ -50,7 +50,7 @@ class PlainTransactions:
         self._lease_ms, self._clock = lease_ms, clock
         self._lock = threading.Lock()
 
-    def write(self, work, *, alone: bool = False, durable: bool = True) -> Future:
+    def write(self, work, *, durable: bool = True) -> Future:
         """See `Transactions`."""
         return self.read(work)
 

@@ -53,9 +53,9 @@ class PostgresTransactions:
         self._writing = GroupCommitter(self._transaction, PostgresSavepoints())
         self._reading = ThreadPoolExecutor(READERS, thread_name_prefix="reader")
 
-    def write(self, work: Callable[[UnitOfWork], T], *, alone: bool = False, durable: bool = True) -> Future[T]:
+    def write(self, work: Callable[[UnitOfWork], T], *, durable: bool = True) -> Future[T]:
         """See `Transactions`."""
-        return self._writing.submit(partial(self._noted, work=work), alone=alone, durable=durable)
+        return self._writing.submit(partial(self._noted, work=work), durable=durable)
 
     def read(self, work: Callable[[UnitOfWork], T]) -> Future[T]:
         """See `Transactions`."""

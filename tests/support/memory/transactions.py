@@ -120,7 +120,7 @@ class MemoryTransactions:
         self._lock = threading.Lock()
         self._commits = 0
 
-    def write(self, work: Callable[[UnitOfWork], T], *, alone: bool = False, durable: bool = True) -> Future[T]:
+    def write(self, work: Callable[[UnitOfWork], T], *, durable: bool = True) -> Future[T]:
         """See `Transactions`."""
         return _settled(lambda: self._write(work))
 

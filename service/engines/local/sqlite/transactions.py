@@ -100,9 +100,9 @@ class SqliteTransactions:
         self._writing = GroupCommitter(self._transaction)
         self._reading = ThreadPoolExecutor(READERS, thread_name_prefix="reader")
 
-    def write(self, work: Callable[[UnitOfWork], T], *, alone: bool = False, durable: bool = True) -> Future[T]:
+    def write(self, work: Callable[[UnitOfWork], T], *, durable: bool = True) -> Future[T]:
         """See `Transactions`; every commit is durable."""
-        return self._writing.submit(partial(self._noted, work=work), alone=alone)
+        return self._writing.submit(partial(self._noted, work=work))
 
     def read(self, work: Callable[[UnitOfWork], T]) -> Future[T]:
         """See `Transactions`."""
