@@ -15,7 +15,6 @@ IN_CI = os.environ.get("CI") == "true"
 ALLOWED = (
     "REVISIT_DATA names no folder of real data",  # recordings are no part of the repository
     "map_closures is not installed",  # a baseline; its pins contradict this project's
-    "nginx is not installed",  # the front is optional, and Debian's package starts a server where it is installed
 )
 """Beginnings of the reasons for which a test may be skipped even there."""
 

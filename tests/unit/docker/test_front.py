@@ -48,7 +48,7 @@ def test_the_front_bounds_what_one_address_may_do(directive):
 def test_nginx_takes_the_file(tmp_path):
     nginx = shutil.which("nginx")
     if nginx is None:
-        pytest.skip("nginx is not installed")
+        pytest.skip("nginx is not installed: scripts/test_tools.sh brings it")
     certificate = trustme.CA().issue_cert("maps.example")
     certificate.cert_chain_pems[0].write_to_path(tmp_path / "chain.pem")
     certificate.private_key_pem.write_to_path(tmp_path / "key.pem")

@@ -1,4 +1,4 @@
-"""Continuous integration keeps the names of the tests that it tried again, and fails when one comes twice in a row."""
+"""Continuous integration keeps the names of the tests that it tried again, in a file and at its end."""
 
 from __future__ import annotations
 
@@ -9,8 +9,6 @@ import sys
 from pathlib import Path
 
 import pytest
-
-from scripts import retried_tests
 
 ROOT = Path(__file__).resolve().parents[3]
 RACE, OTHER = "tests/unit/test_a.py::test_a_race[1 - 2]", "tests/unit/test_b.py::test_b"
@@ -43,7 +41,7 @@ def ran(tree: Path, *failed: str, again: int = 0) -> subprocess.CompletedProcess
     lines = [*(f"FAILED {name} - AssertionError: at - last" for name in failed), "== 9 passed in 1.0s =="]
     (tree / "log").write_text("\n".join(lines) + "\n")
     variables = {"LOG": str(tree / "log"), "TESTS": str(int(bool(failed))), "AGAIN": str(again)}
-    paths = {"PATH": f"{tree / 'bin'}:{os.environ['PATH']}", "XDG_CACHE_HOME": str(tree / "cache")}
+    paths = {"PATH": f"{tree / 'bin'}:{os.environ['PATH']}"}
     command = ("bash", str(tree / "tree" / ".ci" / "run"))
     return subprocess.run(
         command, env={**os.environ, **variables, **paths}, capture_output=True, text=True, check=False
@@ -69,17 +67,6 @@ def test_a_run_without_failures_keeps_an_empty_file(tree):
     assert ran(tree).returncode == 0 and kept(tree) == []
 
 
-def test_a_test_that_is_retried_twice_in_a_row_fails_the_second_run(tree):
-    assert ran(tree, RACE).returncode == 0
-    second = ran(tree, RACE, OTHER)
-    assert second.returncode == 1 and f"twice in a row: {RACE}" in second.stdout
-
-
-def test_a_test_that_was_not_retried_between_is_forgiven(tree):
-    runs = [ran(tree, RACE), ran(tree, OTHER), ran(tree, RACE)]
-    assert [run.returncode for run in runs] == [0, 0, 0]
-
-
 def test_a_test_that_fails_alone_too_fails_the_run(tree):
     assert ran(tree, RACE, again=1).returncode == 1
 
@@ -87,9 +74,3 @@ def test_a_test_that_fails_alone_too_fails_the_run(tree):
 def test_four_failures_are_not_tried_again(tree):
     run = ran(tree, *(f"tests/test_{number}.py::test_it" for number in range(4)))
     assert run.returncode == 1 and kept(tree) == []
-
-
-def test_a_machine_that_remembers_nothing_does_not_fail_a_run(tmp_path, capsys):
-    (tmp_path / "file").touch()
-    assert retried_tests.repeated([RACE], tmp_path / "file" / "names.txt") == []
-    assert "cannot be kept" in capsys.readouterr().out
