@@ -53,15 +53,20 @@ def merge(
         return
     if changes or undo:
         raise refuse("--changes and --undo are of merges so far: give no SOURCE")
+    T_map_source = _pose(near)
+    asked: dict[str, Any] = {} if T_map_source is None else {"T_map_source": T_map_source, "radius_m": radius}
     with Client(http) as client:
-        T_map_source = _pose(near)
         before = _tracks(client, into) if picture is not None and not dry_run else {}
-        asked: dict[str, Any] = {} if T_map_source is None else {"T_map_source": T_map_source, "radius_m": radius}
         operation = client.merge_map(f"maps/{into}", map_or_session(source), validate_only=dry_run, **asked)
         result = waited(client, operation, quiet=json).result or {}
         if picture is not None and result.get("verdict") == "MERGED":
             _draw(picture, before, _tracks(client, into), result)
-    if json:
+    _emit_merge(result, json)
+
+
+def _emit_merge(result: dict[str, Any], as_json: bool) -> None:
+    """Exits with status 1 where the service refused."""
+    if as_json:
         emit_json(result)
     else:
         _show(result)

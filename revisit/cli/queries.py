@@ -20,6 +20,7 @@ from revisit.core.errors import RevisitError
 if TYPE_CHECKING:
     from revisit.core.geometry.se3 import Matrix4
     from revisit.sdk.client import Client
+    from revisit.sdk.resources import LoopClosure
 
 
 def query(
@@ -57,12 +58,8 @@ def query(
     _require_one_question(cloud, submap, storey, explain=explain)
     with Client(http) as client:
         if cloud is not None:
-            where = {
-                "exclude_session": exclude_session or None,
-                "T_level_query": _level(level),
-                "storey": storey or None,
-            }
-            _localize(client, map_id, cloud, k, where, json)
+            where = {"T_level_query": _level(level), "storey": storey or None}
+            _localize(client, map_id, cloud, k, {**where, "exclude_session": exclude_session or None}, json)
         elif explain:
             emit_near_misses(client, full_name(map_id, submap), k, json)
         else:
@@ -107,7 +104,11 @@ def loops(
     with Client(http) as client:
         session = f"maps/{map_id}/sessions/{session_id}" if session_id else None
         found = client.loop_closures(f"maps/{map_id}", state=state, session=session)
-    if json:
+    _emit_loops(found, json)
+
+
+def _emit_loops(found: list[LoopClosure], as_json: bool) -> None:
+    if as_json:
         emit_json([asdict(loop) for loop in found])
         return
     rows = [
