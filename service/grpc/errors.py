@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import traceback
-from collections.abc import AsyncGenerator, AsyncIterator, Awaitable, Callable
+from collections.abc import AsyncGenerator, AsyncIterator, Callable
 from contextlib import aclosing
 from typing import Any, TypeVar, cast
 
@@ -27,7 +27,7 @@ from revisit.service.domain.errors import DeadlineExceeded
 from revisit.service.edge.requests import REQUEST_ID, defect, request_id_of
 from revisit.service.grpc.access import Gate, call_of
 from revisit.service.grpc.public_calls import PublicCalls
-from revisit.service.grpc.tracing import OWN_METHODS, STATUS_DETAILS
+from revisit.service.grpc.tracing import OWN_METHODS, STATUS_DETAILS, Wrapping
 from revisit.service.ports.tracing import current_request
 from revisit.service.status import ERROR_DOMAIN, STATUS, retry_after_s
 
@@ -54,7 +54,7 @@ HELD_FORMS = 2
 M = TypeVar("M")
 
 
-class ErrorInterceptor(grpc.aio.ServerInterceptor):  # type: ignore[type-arg]  # not generic at run time
+class ErrorInterceptor(Wrapping):
     """Turns a handler's error into a status with details, for unary calls and streams.
 
     The caller is admitted, and given a slot, before the message is read: a unary call is served as a stream of one
@@ -68,16 +68,8 @@ class ErrorInterceptor(grpc.aio.ServerInterceptor):  # type: ignore[type-arg]  #
         self._public_calls = PublicCalls()
         self._budget = budget
 
-    async def intercept_service(
-        self,
-        continuation: Callable[[grpc.HandlerCallDetails], Awaitable[Any]],
-        handler_call_details: grpc.HandlerCallDetails,
-    ) -> Any:
-        """The handler of the call, wrapped."""
-        handler = await continuation(handler_call_details)
-        method = str(handler_call_details.method)
-        if handler is None:
-            return None
+    def wrapped(self, handler: Any, method: str) -> Any:
+        """See `Wrapping`."""
         if not method.startswith(OWN_METHODS):
             return _public(handler, self._gate, self._public_calls)
         return _guarded(handler, method, self._gate, self._slots, self._budget)

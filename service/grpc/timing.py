@@ -3,32 +3,24 @@
 from __future__ import annotations
 
 import time
-from collections.abc import AsyncIterator, Awaitable, Callable
+from collections.abc import AsyncIterator
 from typing import Any
 
 import grpc
 
-from revisit.service.grpc.tracing import reason_of, status_of
+from revisit.service.grpc.tracing import Wrapping, reason_of, status_of
 from revisit.service.metrics import RequestMetrics
 
 
-class CallTimer(grpc.aio.ServerInterceptor):  # type: ignore[type-arg]  # not generic at run time
+class CallTimer(Wrapping):
     """Measures each unary call under its method and status, from its head to its answer; counts refusals of all."""
 
     def __init__(self, requests: RequestMetrics) -> None:
         """Counts into `requests`."""
         self._requests = requests
 
-    async def intercept_service(
-        self,
-        continuation: Callable[[grpc.HandlerCallDetails], Awaitable[Any]],
-        handler_call_details: grpc.HandlerCallDetails,
-    ) -> Any:
-        """The handler of the call, wrapped. Unknown methods have none and are not counted."""
-        handler = await continuation(handler_call_details)
-        if handler is None:
-            return None
-        method = str(handler_call_details.method)
+    def wrapped(self, handler: Any, method: str) -> Any:
+        """See `Wrapping`."""
         parts = (handler.request_deserializer, handler.response_serializer)
         if handler.response_streaming:
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from abc import abstractmethod
 from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
@@ -28,7 +29,24 @@ OWN_METHODS = "/revisit."
 log = structlog.get_logger(__name__)
 
 
-class CallTracing(grpc.aio.ServerInterceptor):  # type: ignore[type-arg]  # not generic at run time
+class Wrapping(grpc.aio.ServerInterceptor):  # type: ignore[type-arg]  # not generic at run time
+    """An interceptor that gives each call another handler. An unknown method has none."""
+
+    async def intercept_service(
+        self,
+        continuation: Callable[[grpc.HandlerCallDetails], Awaitable[Any]],
+        handler_call_details: grpc.HandlerCallDetails,
+    ) -> Any:
+        """The handler of the call, wrapped."""
+        handler = await continuation(handler_call_details)
+        return None if handler is None else self.wrapped(handler, str(handler_call_details.method))
+
+    @abstractmethod
+    def wrapped(self, handler: Any, method: str) -> Any:
+        """The handler in place of that of `method`."""
+
+
+class CallTracing(Wrapping):
     """Sets the request context of each call: its id, and a span within the trace that the client names.
 
     It comes before `ErrorInterceptor`, which has made every handler one that reads its messages itself.
@@ -38,19 +56,10 @@ class CallTracing(grpc.aio.ServerInterceptor):  # type: ignore[type-arg]  # not 
         """Spans are made by `tracer`."""
         self._tracer = tracer
 
-    async def intercept_service(
-        self,
-        continuation: Callable[[grpc.HandlerCallDetails], Awaitable[Any]],
-        handler_call_details: grpc.HandlerCallDetails,
-    ) -> Any:
-        """The handler of the call, wrapped where it is one of ours."""
-        handler = await continuation(handler_call_details)
-        method = str(handler_call_details.method)
-        if handler is None or not method.startswith(OWN_METHODS):
+    def wrapped(self, handler: Any, method: str) -> Any:
+        """See `Wrapping`: calls of others are left alone."""
+        if not method.startswith(OWN_METHODS):
             return handler
-        return self._wrapped(handler, method)
-
-    def _wrapped(self, handler: Any, method: str) -> Any:
         parts = (handler.request_deserializer, handler.response_serializer)
         if not handler.response_streaming:
 
