@@ -54,6 +54,27 @@ def test_every_module_and_public_name_has_a_docstring():
     assert [(module.name, name) for module in OURS for name in undocumented(module.tree)] == []
 
 
+def misnamed(name: str, tree: ast.AST, text: str) -> bool:
+    """Whether a file of a feature is named for another process, or another kind of work, than its own."""
+    waits = any(isinstance(function, ast.AsyncFunctionDef) for function in functions(tree))
+    match name.removesuffix(".py").rpartition("_")[2]:
+        case "calls":
+            return not waits
+        case "job":
+            return waits
+        case "rows":
+            return waits
+        case "rules":
+            return waits or "UnitOfWork" in text
+    return False
+
+
+def test_the_name_of_a_file_of_a_feature_says_which_process_runs_it():
+    of_features = [module for module in OURS if module.name.startswith("service/features/")]
+    assert len(of_features) > 80
+    assert [one.name for one in of_features if misnamed(PurePath(one.name).name, one.tree, one.text)] == []
+
+
 def test_nothing_is_left_for_later():
     later = re.compile(r"\b(?:TODO|FIXME|XXX|NotImplementedError)\b")
     assert [(module.name, word) for module in OURS for word in later.findall(module.text)] == []

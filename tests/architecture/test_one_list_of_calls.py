@@ -38,7 +38,7 @@ branch_labels = depends_on = None
 
 
 def upgrade():
-    op.add_column("sessions", sa.Column("driver", sa.Text, nullable=True))
+    op.add_column("sessions", sa.Column("driver", sa.String(64), nullable=True))
 
 
 def downgrade():

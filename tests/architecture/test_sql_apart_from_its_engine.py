@@ -44,6 +44,20 @@ NOW_MS = 1
 KEY = KeyRecord(TENANT, "k1", "label", ("read",), "0" * 64, 1, None, None, None)
 ROW = AuditRecord(1, 1, TENANT, "actor", "keys.create", "k1", {}, "", "0" * 64)
 HOOK = WebhookRecord(TENANT, "hook", "hash", "https://example.org", None, (), "secret", "ENABLED", 0, 0, 0, 1)
+ACROSS_TENANTS = {
+    ("submaps", "state"),
+    ("loop_closures", "query_number"),
+    ("loop_closures", "match_number"),
+    ("loop_events", "query_number"),
+    ("loop_events", "match_number"),
+    ("jobs", "state"),
+    ("jobs", "finished_at_ns"),
+    ("unreferenced_blobs", "state"),
+    ("worker_turns", "started_ms"),
+    ("webhook_positions", "webhook_number"),
+}
+"""Table and first column of the indexes and keys that do not begin with the tenant; `tables` says why."""
+
 KEYED_OTHERWISE = ("workers", "processes", "worker_turns", "map_counters", "webhook_positions")
 CALLS = {
     "SqlRepository.add": fill,
@@ -181,3 +195,10 @@ def test_no_module_of_sql_speaks_a_dialect(path):
 )
 def test_the_search_itself_finds_what_it_should(text):
     assert DIALECT.search(text)
+
+
+def test_every_index_begins_with_the_tenant_but_those_that_the_tables_explain():
+    of_tenants = [table for table in tables.metadata.tables.values() if "tenant" in table.c]
+    keys = [index for table in of_tenants for index in (*table.indexes, table.primary_key)]
+    first = {(key.table.name, next(iter(key.columns)).name) for key in keys}
+    assert {found for found in first if found[1] not in ("tenant", "number")} == ACROSS_TENANTS

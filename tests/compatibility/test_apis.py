@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from revisit.api.calls import CALLS
 from tests.compatibility.write import APIS, ROOT, buf, public_names, write_api
 
 RULES = json.dumps({"version": "v2", "breaking": {"use": ["PACKAGE"]}})
@@ -45,3 +46,11 @@ def test_a_field_that_is_gone_and_one_of_another_type_are_found(tmp_path):
     retyped, deleted = sorted(differences(tmp_path / "today.binpb", changed))
     assert '"1"' in deleted and "deleted" in deleted
     assert '"y"' in retyped and "float" in retyped
+
+
+def test_nothing_is_deprecated_before_the_sdk_warns_of_it():
+    """As docs/reference/stability.md says; the first mark brings a DeprecationWarning of the SDK, and its own test."""
+    methods = [call.method for call in CALLS.values()]
+    fields = [field for method in methods for kind in (method.input_type, method.output_type) for field in kind.fields]
+    assert len(fields) > 100
+    assert [one.full_name for one in (*methods, *fields) if one.GetOptions().deprecated] == []

@@ -1,7 +1,8 @@
 """Tables: one per record of `contract.records`, a column per field.
 
 Statements are built from them; the schema itself is created by migrations/, which also state two more rules: a number
-is never given out twice, and an index may hold some rows only (`info["where"]`).
+is never given out twice, and an index may hold some rows only (`info["where"]`). The tenant is first in every index,
+but for those with a comment on the statement that is of all tenants.
 """
 
 from __future__ import annotations
@@ -208,6 +209,7 @@ submaps = _numbered(
     ForeignKeyConstraint(
         ["tenant", "map_id", "session_id"], ["sessions.tenant", "sessions.map_id", "sessions.session_id"]
     ),
+    # The metrics count states over all tenants; `first_waiting` gives all three columns.
     Index(None, "state", "tenant", "map_id"),
     Index(None, "tenant", "map_id", info={"where": UNSEARCHED}),
     Index(None, "tenant", "map_id", "kept_scans"),
@@ -241,6 +243,7 @@ loops = _numbered(
     ForeignKeyConstraint(["query_number"], ["submaps.number"]),
     ForeignKeyConstraint(["match_number"], ["submaps.number"]),
     Index(None, "tenant", "map_id", "state"),
+    # The numbers are those of submaps, of one tenant each; the foreign keys look for a number when a submap goes.
     Index(None, "query_number"),
     Index(None, "match_number"),
 )
@@ -266,6 +269,7 @@ loop_events = _numbered(
     _integer("at_ns"),
     ForeignKeyConstraint(["tenant", "map_id"], ["maps.tenant", "maps.map_id"]),
     Index(None, "tenant", "map_id", "loop_id"),
+    # As those of the loops; they go with a submap.
     Index(None, "query_number"),
     Index(None, "match_number"),
 )
@@ -398,8 +402,10 @@ jobs = _numbered(
     Column("forgiven", BigInteger, nullable=False, server_default="0"),
     _json("progress", nullable=True),
     Column("cancel_requested", Boolean, nullable=False, server_default="0"),
+    # Claims go from tenant to tenant with jobs of a state, and look for lost leases of all of them.
     Index(None, "state", "tenant", "priority", "number"),
     Index(None, "tenant", "state"),
+    # Answers expire whoever has asked.
     Index(None, "finished_at_ns", info={"where": ANSWERED_QUERIES}),
 )
 
@@ -413,6 +419,7 @@ unreferenced_blobs = Table(
     _text("state", length=16),
     _integer("since_ms"),
     Index(None, "tenant", "sha256"),
+    # One sweep collects the blobs of all tenants.
     Index(None, "state", "since_ms"),
 )
 
@@ -471,6 +478,7 @@ webhooks = _numbered(
 webhook_positions = Table(
     "webhook_positions",
     metadata,
+    # The number is that of a webhook, of one tenant.
     Column("webhook_number", BigInteger, primary_key=True, autoincrement=False),
     Column("map_id", String(64), primary_key=True),
     Column("tenant", String(64), nullable=False),
@@ -524,5 +532,6 @@ worker_turns = Table(
     Column("started_ms", BigInteger, nullable=False),
     Column("ran_ms", BigInteger, nullable=False),
     Column("lifted_ms", BigInteger, nullable=False),
+    # The latest start of all tenants.
     Index(None, "started_ms"),
 )

@@ -23,7 +23,7 @@ from revisit.service.features.catalogue.no_loops import NoLoops, why_no_loops
 from revisit.service.features.catalogue.odometry_findings import SessionFinding, odometry_findings
 from revisit.service.features.deletion.erasure import Erasure
 from revisit.service.features.deletion.rows import mark_session
-from revisit.service.features.ingest.rules import add_window_submap, remainder
+from revisit.service.features.ingest.window_submaps import add_window_submap, remainder
 from revisit.service.features.resources.call_context import CallContext
 from revisit.service.features.resources.paging import Page, PageRequest
 from revisit.service.ports.storage import (

@@ -37,7 +37,7 @@ from revisit.service.features.ingest.clouds import (
     unpack_cloud,
 )
 from revisit.service.features.ingest.posting import PostedSubmap, with_seq
-from revisit.service.features.ingest.rules import ScanRange, add_window_submap
+from revisit.service.features.ingest.window_submaps import ScanRange, add_window_submap
 from revisit.service.features.resources.call_context import CallContext
 from revisit.service.features.waiting.shared_poll import SharedPoll
 from revisit.service.ports.blobs import CLOUD_BLOB

@@ -12,7 +12,7 @@ from revisit.core.submap import SubmapBuilder
 from revisit.service.domain.identity import TenantId
 from revisit.service.domain.records import SessionRecord
 from revisit.service.features.ingest.calls import advance
-from revisit.service.features.ingest.rules import ScanRange, remainder
+from revisit.service.features.ingest.window_submaps import ScanRange, remainder
 
 NEW = SessionRecord(
     TenantId("t"), "town", "run", "", None, "ACTIVE", 0, 1, 0.0, 0.0, 1, None, created_at_ns=0, finished_at_ns=None
