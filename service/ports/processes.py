@@ -11,7 +11,10 @@ GONE_AFTER_MS = 8_000
 
 
 class ProcessLog(Protocol):
-    """Which processes live, by the store's clock."""
+    """Which processes live, by the store's clock, in the order of their coming.
+
+    Workers are told of by `WorkerLog`: by when they were seen last, and also those that are silent but hold leases.
+    """
 
     def announce(self, process: LivingProcess) -> None:
         """The process shows itself."""

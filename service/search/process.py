@@ -114,7 +114,10 @@ class HeldMaps:
 
 
 class Rounds:
-    """Repeats a piece of work in a thread of its own until told to stop."""
+    """Repeats a piece of work in a thread of its own until told to stop.
+
+    Where a round fails, all end, as others ask this process; the chores of a gateway (`Upkeep`) go on.
+    """
 
     def __init__(self, work: Callable[[], object], every_s: float, failed: Callable[[], None]) -> None:
         """`failed` is called where the work raises."""
