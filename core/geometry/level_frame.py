@@ -77,10 +77,6 @@ class LevelFrame:
         """Directions (n, 3) of the level frame in the submap frame; their lengths stay."""
         return np.asarray(normals @ self.rotation.T)
 
-    def normals_to_level(self, normals: NDArray[np.floating]) -> Array64:
-        """Directions (n, 3) of the submap frame in the level frame; their lengths stay."""
-        return np.asarray(normals @ self.rotation)
-
     def pose_to_submap(self, T_level_body: se3.Matrix4) -> se3.Matrix4:
         """The rigid pose (4, 4) of a body, given in the level frame, as a pose in the submap frame: T_submap_body."""
         return self.T_submap_upright @ _stretched(T_level_body, self.scale)

@@ -70,16 +70,6 @@ class DecoderWeights:
         matrices = tuple(part.reshape(shape) for part, shape in zip(parts, shapes, strict=False))
         return cls(matrices, tuple(parts[len(shapes) :]))
 
-    @classmethod
-    def tangent_planes(cls, feature_size: int = 8, width: int = 8) -> DecoderWeights:
-        """A decoder that adds nothing to the tangent planes: the untrained reference."""
-        size = feature_size + ENCODING_SIZE
-        zeros = np.zeros((1, width), dtype=np.float32)
-        return cls(
-            (np.eye(width, size, dtype=np.float32), zeros),
-            (np.zeros(width, dtype=np.float32), np.zeros(1, dtype=np.float32)),
-        )
-
 
 def decode(decoder: DecoderWeights, features: Array, encoding: Array, plane_distance: Array) -> Array:
     """Eq. 5: blended features (n, F), encoding (n, 9) and plane distance (n,) metres -> SDF (n,) metres."""

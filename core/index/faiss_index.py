@@ -183,7 +183,10 @@ class FaissIndex:
         config: AdaptationConfig = AdaptationConfig(),
         coded_from: int = CODED_FROM,
     ) -> FaissIndex:
-        """The index that was `stored` as `arrays`, over its descriptors; the arrays become its own."""
+        """The index that was `stored` as `arrays`, over its descriptors; the arrays become its own.
+
+        Raises DataLoss where another version has written them.
+        """
         made = cls(shared.vectors.shape[1], config, coded_from)
         made._rows = Rows.restored(shared, arrays["sessions"], arrays["ordinals"], arrays["positions"])
         made._learner.restore(made._rows, arrays)

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from revisit.core.config import AdaptationConfig
 from revisit.core.descriptor.adaptation import SessionSums, SiteStatistics, by_session, learn_site, learned_from
+from revisit.core.errors import DataLoss
 from revisit.core.index.rows import Rows
 
 Indices = NDArray[np.intp]
@@ -77,7 +78,10 @@ class SiteLearner:
         }
 
     def restore(self, rows: Rows, arrays: Mapping[str, NDArray[Any]]) -> None:
-        """Go on, as a new learner, from a `stored` state. Sums that were not are made again when they are needed."""
+        """Go on, as a new learner, from a `stored` state. Raises DataLoss where it is of another form."""
+        missing = sorted(_STORED - arrays.keys())
+        if missing:
+            raise DataLoss(f"the state of an index lacks {', '.join(missing)}: another version has written it")
         self.site = site_of_arrays(arrays, "site_")
         self._set_counts(rows, arrays["counted"])
         if self.site is not None:
@@ -171,6 +175,17 @@ class SiteLearner:
         return SessionSums.of(rows.vectors[self._by_session[session][:count]])
 
 
+_STORED = frozenset(
+    {
+        "counted", "learned", "session_steps",
+        *(f"site_{name}" for name in ("mean", "spread", "sessions", "session_means")),
+        *(f"in_map_{name}" for name in ("sessions", "counts", "totals", "squares")),
+        *(f"of_session_{name}" for name in ("sessions", "counts", "totals", "squares")),
+    }
+)  # fmt: skip
+"""The arrays that `SiteLearner.stored` gives."""
+
+
 def site_as_arrays(site: SiteStatistics | None, prefix: str) -> dict[str, NDArray[np.generic]]:
     """Statistics as arrays whose names begin with `prefix`; empty ones for none."""
     if site is None:
@@ -204,9 +219,7 @@ def _sums_as_arrays(sums: Mapping[int, SessionSums], prefix: str) -> dict[str, N
 
 
 def _sums_of_arrays(arrays: Mapping[str, NDArray[Any]], prefix: str) -> dict[int, SessionSums]:
-    """The inverse of `_sums_as_arrays`; none of arrays that an earlier version wrote."""
-    if f"{prefix}sessions" not in arrays:
-        return {}
+    """The inverse of `_sums_as_arrays`."""
     sessions, counts = arrays[f"{prefix}sessions"].tolist(), arrays[f"{prefix}counts"].tolist()
     sums = map(SessionSums, counts, arrays[f"{prefix}totals"], arrays[f"{prefix}squares"])
     return dict(zip(sessions, sums, strict=True))

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from revisit.core.kernels.loops import compiled, inlined, loop
+from revisit.core.kernels.loops import inlined, loop
 
 Array64 = NDArray[np.float64]
 
@@ -61,15 +61,6 @@ def _enter_again(slots: NDArray[np.int32], lowest: Array64, kept: NDArray[np.int
         if x != _NOWHERE:
             slot = slot_of(kept, x, y)
             kept[slot, 0], kept[slot, 1], kept_lowest[slot] = x, y, lowest[n]
-
-
-@compiled
-def in_seen_columns(points: Array64, slots: NDArray[np.int32], edge: float) -> NDArray[np.bool_]:
-    """Which of `points` (n, 3) stand in a column that is entered in `slots`."""
-    found = np.zeros(len(points), dtype=np.bool_)
-    for n in range(len(points)):
-        found[n] = is_seen(slots, points[n, 0], points[n, 1], edge)
-    return found
 
 
 def heights_above(points: Array64, T_columns_points: Array64, columns: SeenColumns, edge: float) -> Array64:

@@ -7,7 +7,7 @@ looked through.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,11 +19,6 @@ from revisit.core.merge.evidence import MergeEvidence
 from revisit.core.merge.fused import PlacedMap
 
 Array = NDArray[np.float32]
-
-
-def compare_surfaces(first: Sequence[PlacedMap], second: Sequence[PlacedMap]) -> MergeEvidence:
-    """The points of each group against the field and the free space of the other, every submap with every other."""
-    return compare_pairs((one, other) for one in first for other in second)
 
 
 def compare_pairs(pairs: Iterable[tuple[PlacedMap, PlacedMap]]) -> MergeEvidence:

@@ -9,9 +9,8 @@ from numpy.typing import NDArray
 
 from revisit.core.config import VerificationConfig
 from revisit.core.geometry import se3
-from revisit.core.kernels.seen_columns import in_seen_columns
 from revisit.core.verification.line_of_sight import View, seen_through, view_of
-from revisit.core.verification.oriented_points import COLUMN_M, OrientedPoints, contact_in_poses, shared_shares
+from revisit.core.verification.oriented_points import OrientedPoints, contact_in_poses, shared_shares
 from revisit.core.verification.registration import Registration
 
 Array64 = NDArray[np.float64]
@@ -95,11 +94,6 @@ def mutually_seen_through(
     of_query = seen_through(query.standing.points, T_match_query, views[1], config)
     of_match = seen_through(match.standing.points, se3.inverse(T_match_query), views[0], config)
     return (of_query[0] + of_match[0]) / max(of_query[1] + of_match[1], 1)
-
-
-def in_region(surface: OrientedPoints, other: OrientedPoints) -> NDArray[np.bool_]:
-    """Which points (n,) of a surface stand in a column in which the other place has seen anything."""
-    return np.asarray(in_seen_columns(np.ascontiguousarray(surface.points), other.seen.slots, COLUMN_M))
 
 
 def _view(surface: OrientedPoints, angle_deg: float) -> View:

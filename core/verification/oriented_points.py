@@ -73,16 +73,6 @@ class OrientedPoints(Keeping):
         return self.patches_by(SEARCH_EDGE_M)
 
     @cached_property
-    def columns(self) -> NDArray[np.int64]:
-        """See `columns_of`."""
-        return columns_of(self.points)
-
-    @cached_property
-    def seen_columns(self) -> NDArray[np.int64]:
-        """The distinct columns in which any point lies, in order."""
-        return np.unique(self.columns)
-
-    @cached_property
     def seen(self) -> SeenColumns:
         """The columns of COLUMN_M in which any point lies, for the kernels."""
         return seen_columns(np.ascontiguousarray(self.points), COLUMN_M)
@@ -186,9 +176,3 @@ def shared_shares(
 def _contact_rules(config: VerificationConfig) -> tuple[float, float, float, float]:
     """Edge, reach, distance of planes and cosine of normals, as the kernels of contact take them."""
     return SEARCH_EDGE_M, config.neighbour_distance, config.surface_distance, _FACING_ALIKE
-
-
-def columns_of(points: Array64) -> NDArray[np.int64]:
-    """The key (n,) of the vertical column of `COLUMN_M` that each of `points` (n, 3) is in."""
-    cells = np.floor(points[:, :2] / COLUMN_M).astype(np.int64)
-    return np.asarray((cells[:, 0] << 32) + cells[:, 1])

@@ -10,6 +10,7 @@ import pytest
 from revisit.core.config import ImplicitMapConfig
 from revisit.core.errors import DataLoss, DescriptorModelMismatch, FormerForm
 from revisit.core.implicit_map import DecoderWeights, NeuralMap
+from tests.support.decoders import planes_alone
 
 KEPT = Path(__file__).parent / "neural_maps"
 LEARNED = (KEPT / "learned.bin").read_bytes()
@@ -43,7 +44,7 @@ def test_a_stored_map_that_is_stored_again_answers_much_the_same(kind, decoder):
 
 def test_a_learned_map_needs_its_decoder_and_all_of_its_bytes(decoder):
     with pytest.raises(DescriptorModelMismatch):
-        NeuralMap.from_blob(LEARNED, DecoderWeights.tangent_planes(), ImplicitMapConfig())
+        NeuralMap.from_blob(LEARNED, planes_alone(), ImplicitMapConfig())
     for damaged in (LEARNED[:-1], LEARNED[:200] + b"?" + LEARNED[201:], b""):
         with pytest.raises(DataLoss):
             NeuralMap.from_blob(damaged, decoder, ImplicitMapConfig())

@@ -17,7 +17,7 @@ import numpy as np
 import structlog
 from numpy.typing import NDArray
 
-from revisit.core.errors import BadField
+from revisit.core.errors import BadField, DataLoss
 from revisit.service.engines.local.files.index_files import IndexFiles
 from revisit.service.ports.index import IndexChange, VectorFilter, VectorMatch
 
@@ -175,7 +175,12 @@ class PlaceVectorIndex:
         if opened is None:
             self._distrusted.add(name)
             return False
-        entries = FaissIndex.restored(SharedRows(opened.arrays["ids"], opened.vectors, opened.marks), opened.arrays)
+        try:
+            entries = FaissIndex.restored(SharedRows(opened.arrays["ids"], opened.vectors, opened.marks), opened.arrays)
+        except DataLoss as error:
+            log.warning("index_file_of_another_form", map=map_number, reason=str(error))
+            self._distrusted.add(name)
+            return False
         index = self._of(map_number)
         with index.lock:
             index.seq, index.dimension, index.entries, index.file = opened.seq, opened.vectors.shape[1], entries, name

@@ -9,7 +9,7 @@ import pytest
 
 from revisit.core.config import VerificationConfig
 from revisit.core.geometry import se3
-from revisit.core.verification.evidence import contrast, gather_evidence, in_region, weakest_direction
+from revisit.core.verification.evidence import contrast, gather_evidence, weakest_direction
 from revisit.core.verification.oriented_points import OrientedPoints, contact, shared_shares
 from revisit.core.verification.registration import Registration, information
 
@@ -90,21 +90,6 @@ def test_an_alignment_that_was_given_up_has_the_worst_contrast_and_view():
     assert evidence.overlap == 1.0
 
 
-def test_a_region_is_made_of_two_metre_columns():
-    seen = OrientedPoints(np.array([[0.1, 0.1, 50.0]]), np.array([[0.0, 0.0, 1.0]]), 1)
-    points = np.array([[1.9, 1.9, -3.0], [2.1, 0.1, 0.0], [-0.1, 0.1, 0.0]])
-    assert in_region(OrientedPoints(points, points, 3), seen).tolist() == [True, False, False]
-
-
-def test_the_shared_region_is_that_of_the_columns_of_numpy():
-    rng = np.random.default_rng(3)
-    one, other = (rng.uniform(-30, 30, (300, 3)) for _ in range(2))
-    surfaces = [OrientedPoints(points, points, 300) for points in (one, other)]
-    expected = np.isin(surfaces[0].columns, surfaces[1].seen_columns)
-    assert 20 < expected.sum() < 280
-    assert np.array_equal(in_region(*surfaces), expected)
-
-
 def test_a_place_keeps_no_more_than_eight_slots_for_a_column_and_its_lowest_point():
     points = np.random.default_rng(5).uniform(-40, 40, (3000, 3))
     seen = OrientedPoints(points, points, 3000).seen
@@ -115,6 +100,12 @@ def test_a_place_keeps_no_more_than_eight_slots_for_a_column_and_its_lowest_poin
     entered = np.isfinite(seen.lowest)
     assert dict(zip(map(tuple, seen.slots[entered].tolist()), seen.lowest[entered], strict=True)) == lowest
     assert len(seen.slots) <= 8 * len(lowest)
+
+
+def in_region(surface, other):
+    """Which points (n,) of a surface stand in a column of two metres in which the other place has seen anything."""
+    seen = {(int(x), int(y)) for x, y in np.floor(other.points[:, :2] / 2.0)}
+    return np.array([(int(x), int(y)) in seen for x, y in np.floor(surface.points[:, :2] / 2.0)])
 
 
 def test_the_compiled_shares_are_those_of_contact_in_the_common_region():

@@ -14,7 +14,7 @@ import torch
 from revisit.core.codec import neural_map as codec
 from revisit.core.config import Field, Fitting, ImplicitMapConfig, Loss, SurfaceConfig
 from revisit.core.errors import DataLoss, DescriptorModelMismatch
-from revisit.core.implicit_map import DecoderWeights, NeuralMap, fit_implicit_map
+from revisit.core.implicit_map import NeuralMap, fit_implicit_map
 from revisit.core.implicit_map.decoder import orientations
 from revisit.core.implicit_map.gradient_steps import predict, sdf_loss, tensors_of
 from revisit.core.implicit_map.neural_points import oriented
@@ -27,6 +27,7 @@ from revisit.core.model_bundle import load_packaged_models
 from revisit.core.scan import Scan
 from revisit.core.submap import Submap
 from revisit.core.surface import extract_surface
+from tests.support.decoders import planes_alone
 
 CONFIG = ImplicitMapConfig()
 LEARNED = dataclasses.replace(CONFIG, field=Field.LEARNED, weight_power=1.0)
@@ -290,7 +291,7 @@ def test_an_adapted_decoder_of_another_size_is_refused(make_drive, shapes):
 def test_a_stored_map_of_another_decoder_is_refused(make_drive, shapes):
     blob = fit(make_drive(lambda _: [shapes["ground"]()]), LEARNED).to_blob()
     with pytest.raises(DescriptorModelMismatch):
-        NeuralMap.from_blob(blob, DecoderWeights.tangent_planes(), CONFIG)
+        NeuralMap.from_blob(blob, planes_alone(), CONFIG)
 
 
 def test_every_flipped_or_missing_byte_of_a_stored_map_is_noticed(make_drive, shapes):

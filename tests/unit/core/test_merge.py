@@ -14,15 +14,16 @@ from revisit.cli.map_files import PlacedSubmap
 from revisit.core.config import ImplicitMapConfig, SurfaceConfig
 from revisit.core.errors import BadField, DescriptorModelMismatch
 from revisit.core.geometry import se3
-from revisit.core.implicit_map import DecoderWeights, NeuralMap, fit_implicit_map
+from revisit.core.implicit_map import NeuralMap, fit_implicit_map
 from revisit.core.merge.changes import changes_between
 from revisit.core.merge.evidence import ChangeKind, JoiningLoops, MergeRefusal, loops_refusal, surfaces_refusal
 from revisit.core.merge.fused import PlacedMap, merge_neural_maps
-from revisit.core.merge.overlap import compare_surfaces
+from revisit.core.merge.overlap import compare_pairs
 from revisit.core.model_bundle import load_packaged_models
 from revisit.core.profiles import Profile, profile_config, profile_models
 from revisit.core.submap import Submap
 from revisit.core.surface import extract_surface
+from tests.support.decoders import planes_alone
 
 HEIGHT = 1.7
 TURNED = se3.from_yaw(0.9, (2.2, -1.3, 0.0))
@@ -137,14 +138,14 @@ def test_learned_maps_with_decoders_of_their_own_become_one_learned_map(make_dri
     ]
     assert len({one.neural_map.decoder.digest for one in placed}) == 2
     merged = merge_neural_maps(placed)
-    stored = NeuralMap.from_blob(merged.to_blob(), DecoderWeights.tangent_planes(), ImplicitMapConfig())
+    stored = NeuralMap.from_blob(merged.to_blob(), planes_alone(), ImplicitMapConfig())
     assert stored.decoder.digest == merged.decoder.digest == merge_neural_maps(placed[::-1]).decoder.digest
     assert _surface_error(stored) <= 1.2 * max(_surface_error(one.neural_map) for one in placed)
 
 
 def test_maps_of_different_kinds_or_resolutions_are_not_merged(pair):
     first, second = pair
-    other = dataclasses.replace(second.neural_map, decoder=DecoderWeights.tangent_planes())
+    other = dataclasses.replace(second.neural_map, decoder=planes_alone())
     with pytest.raises(DescriptorModelMismatch):
         merge_neural_maps([first, dataclasses.replace(second, neural_map=other)])
     coarse = dataclasses.replace(second.neural_map, config=ImplicitMapConfig(resolution=0.5))
@@ -156,19 +157,19 @@ def test_maps_of_different_kinds_or_resolutions_are_not_merged(pair):
 
 def test_surfaces_of_a_right_alignment_agree_and_those_of_a_wrong_one_do_not(pair):
     first, second = pair
-    right = compare_surfaces([first], [second])
+    right = compare_pairs([(first, second)])
     assert right.common_points > 5_000
     assert right.residual_m < 0.05
     assert surfaces_refusal(right) is None
     for error in (se3.from_yaw(0.0, (3.0, 1.0, 0.0)), se3.from_yaw(np.pi, (0.0, 0.0, 0.0))):
-        wrong = compare_surfaces([first], [PlacedMap(second.neural_map, error @ second.T_map_submap)])
+        wrong = compare_pairs([(first, PlacedMap(second.neural_map, error @ second.T_map_submap))])
         assert surfaces_refusal(wrong) is not None, wrong
 
 
 def test_groups_that_share_nothing_are_refused_for_their_overlap(pair):
     first, second = pair
     apart = PlacedMap(second.neural_map, se3.from_yaw(0.0, (300.0, 0.0, 0.0)))
-    evidence = compare_surfaces([first], [apart])
+    evidence = compare_pairs([(first, apart)])
     assert evidence.common_points == 0
     assert surfaces_refusal(evidence) is MergeRefusal.OVERLAP_TOO_SMALL
 
