@@ -10,7 +10,6 @@ from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
 from revisit.core.acceptance import (
-    TELLING,
     Drive,
     LoopClaim,
     PredictedPoses,
@@ -36,7 +35,9 @@ RIGHT_M, RIGHT_DEG = 2.0, 5.0
 class PairMethod(Protocol):
     """A method whose pairs can be judged together: the product, under any profile."""
 
-    config: PipelineConfig
+    @property
+    def config(self) -> PipelineConfig:
+        """Its parameters."""
 
     def verify_pair(
         self, query: bytes, match: bytes, similarity: float, initial: InitialPose | None = None
@@ -44,9 +45,31 @@ class PairMethod(Protocol):
         """The verdict on a pair by itself."""
 
 
+def judging(method: object) -> PairMethod | None:
+    """The method where its pairs can be judged together; None for one that judges each alone."""
+    return method if isinstance(method, PairMethod) else None
+
+
+@dataclass(frozen=True)
+class AskedPlaces:
+    """The submaps of a drive that ask, in their order, and those that are asked: of the same drive, or of another."""
+
+    queries: Sequence[DescribedSubmap]
+    mapped: Sequence[DescribedSubmap]
+    one_drive: bool = True
+
+    def query(self, number: int) -> Station:
+        """The station of a query."""
+        return _station(self.queries[number], 0 if self.one_drive else 1)
+
+    def match(self, row: int) -> Station:
+        """The station of a submap that is asked."""
+        return _station(self.mapped[row], 0)
+
+
 @dataclass(frozen=True)
 class JudgedCandidate:
-    """A candidate of a query: its row in the drive, its cosine, and the claim on it."""
+    """A candidate of a query: its row in the map, its cosine, and the claim on it."""
 
     match: Match
     claim: LoopClaim
@@ -61,6 +84,25 @@ class JudgedDrive:
 
 
 @dataclass(frozen=True)
+class AcceptedLoops:
+    """The loops of a drive as the service accepts them: (query, match), and how far each pose is off."""
+
+    pairs: tuple[tuple[int, int], ...]
+    metres: tuple[float, ...]
+    degrees: tuple[float, ...]
+
+    @property
+    def queries(self) -> int:
+        """How many queries have a loop."""
+        return len({query for query, _ in self.pairs})
+
+    @property
+    def false(self) -> int:
+        """How many loops have a false pose."""
+        return sum(not is_right(*error) for error in zip(self.metres, self.degrees, strict=True))
+
+
+@dataclass(frozen=True)
 class RulePrice:
     """Cost and gain of a doubt on a drive: pairs that passed by themselves with a right pose, and a wrong one."""
 
@@ -70,18 +112,23 @@ class RulePrice:
 
 @dataclass(frozen=True)
 class _DriveWork:
-    places: Sequence[DescribedSubmap]
+    places: AskedPlaces
     method: PairMethod
 
 
+def is_right(metres: float, degrees: float) -> bool:
+    """Whether a pose that is off by so much is right."""
+    return metres <= RIGHT_M and degrees <= RIGHT_DEG
+
+
 def judge_drive(
-    places: Sequence[DescribedSubmap],
+    places: AskedPlaces,
     method: PairMethod,
     candidates: Sequence[tuple[Match, ...]],
     jobs: int,
     progress: Callable[[int], None],
 ) -> JudgedDrive:
-    """Verify and judge the candidates of each submap of a drive, in its order; progress(queries verified)."""
+    """Verify and judge the candidates of each query, in the order of the drive; progress(queries verified)."""
     work, verified = _DriveWork(places, method), list[tuple[dict[int, PairVerdict], float]]()
     for one in in_processes(_verify_query, work, list(enumerate(candidates)), jobs):
         verified.append(one)
@@ -93,7 +140,7 @@ def _verify_query(work: _DriveWork, task: tuple[int, tuple[Match, ...]]) -> tupl
     """The verdicts on the candidates of a query by row, those left out whose pose others predict; CPU seconds."""
     number, matches = task
     started = time.process_time()
-    predicted = PredictedPoses([station(work.places[one.id]) for one in matches], work.method.config)
+    predicted = PredictedPoses([work.places.match(one.id) for one in matches], work.method.config)
 
     def verify(row: int, initial: InitialPose | None) -> PairVerdict:
         return _verified(work, number, matches[row], initial)
@@ -103,7 +150,7 @@ def _verify_query(work: _DriveWork, task: tuple[int, tuple[Match, ...]]) -> tupl
 
 
 def _verified(work: _DriveWork, query: int, match: Match, initial: InitialPose | None) -> PairVerdict:
-    asked, known = work.places[query].description, work.places[match.id].description
+    asked, known = work.places.queries[query].description, work.places.mapped[match.id].description
     if asked is None or known is None:
         raise ValueError(f"submaps {query} and {match.id} were matched without descriptions")
     return work.method.verify_pair(asked.place, known.place, match.similarity, initial)
@@ -116,9 +163,9 @@ def _judged(
 ) -> JudgedDrive:
     judged = list[list[JudgedCandidate]]()
     for number, (matches, (verdicts, _)) in enumerate(zip(candidates, verified, strict=True)):
-        query = station(work.places[number])
+        query = work.places.query(number)
         new = [
-            JudgedCandidate(matches[row], LoopClaim(query, station(work.places[matches[row].id]), verdict))
+            JudgedCandidate(matches[row], LoopClaim(query, work.places.match(matches[row].id), verdict))
             for row, verdict in verdicts.items()
         ]
         judged.append(_accepted(work, number, new, judged))
@@ -130,10 +177,8 @@ def _accepted(
 ) -> list[JudgedCandidate]:
     """The candidates of a query judged with its drive before it, whose earlier claims are revised in place."""
     config, first = work.method.config, max(0, number - submaps_asked(work.method.config))
-    where = [
-        (query, row) for query in range(first, number) for row, one in enumerate(judged[query]) if _says(one.claim)
-    ]
-    before, query = [station(one) for one in work.places[first:number]], station(work.places[number])
+    where = [(query, row) for query in range(first, number) for row, one in enumerate(judged[query]) if one.claim.tells]
+    before, query = [work.places.query(one) for one in range(first, number)], work.places.query(number)
     drive = Drive([judged[one][row].claim for one, row in where], stride_of_drive(query, before, config))
     pairs = [*((one, judged[one][row].match) for one, row in where), *((number, one.match) for one in new)]
     decided = accept([one.claim for one in new], drive, config, lambda row, near: _verified(work, *pairs[row], near))
@@ -143,17 +188,25 @@ def _accepted(
     return [dataclasses.replace(one, claim=claim) for one, claim in zip(new, decided.new, strict=True)]
 
 
-def _says(claim: LoopClaim) -> bool:
-    return claim.T_match_query is not None and (claim.accepted or claim.reason in TELLING)
+def _station(place: DescribedSubmap, drive: int) -> Station:
+    """A submap on its drive, in the frame that it was described in: its pose is its odometry."""
+    return Station(drive, place.id, place.T_world_submap @ se3.from_yaw(-place.yaw))
 
 
-def station(place: DescribedSubmap) -> Station:
-    """A submap on the drive that is evaluated, in the frame that it was described in: its pose is its odometry."""
-    return Station(0, place.id, place.T_world_submap @ se3.from_yaw(-place.yaw))
+def accepted_loops(places: AskedPlaces, drive: JudgedDrive) -> AcceptedLoops:
+    """The loops of a drive whose true poses are known."""
+    pairs, errors = list[tuple[int, int]](), list[tuple[float, float]]()
+    for number, judged in enumerate(drive.candidates):
+        for one in judged:
+            if one.claim.accepted:
+                pairs.append((number, one.match.id))
+                errors.append(_error(places, number, one))
+    metres, degrees = zip(*errors, strict=True) if errors else ((), ())
+    return AcceptedLoops(tuple(pairs), metres, degrees)
 
 
 def ranked_matches(
-    places: Sequence[DescribedSubmap], candidates: Sequence[tuple[Match, ...]], drive: JudgedDrive, radius_m: float
+    places: AskedPlaces, candidates: Sequence[tuple[Match, ...]], drive: JudgedDrive, radius_m: float
 ) -> list[QueryMatches]:
     """The judged candidates of each query, ranked as `matching.verify_query` ranks them."""
     found = []
@@ -164,29 +217,28 @@ def ranked_matches(
     return found
 
 
-def _ranked(
-    places: Sequence[DescribedSubmap], number: int, judged: JudgedCandidate, radius_m: float
-) -> RankedCandidate:
+def _ranked(places: AskedPlaces, number: int, judged: JudgedCandidate, radius_m: float) -> RankedCandidate:
     claim = judged.claim
     verdict = dataclasses.replace(verdict_of_pair(claim.verdict), reason=None if claim.accepted else str(claim.reason))
     verdict = dataclasses.replace(verdict, doubts=tuple(doubt.value for doubt in claim.doubts))
-    return ranked_candidate(places[number], places[judged.match.id], judged.match, verdict, radius_m)
+    query, match = places.queries[number], places.mapped[judged.match.id]
+    return ranked_candidate(query, match, judged.match, verdict, radius_m)
 
 
-def rule_prices(places: Sequence[DescribedSubmap], drive: JudgedDrive) -> dict[str, RulePrice]:
+def rule_prices(places: AskedPlaces, drive: JudgedDrive) -> dict[str, RulePrice]:
     """Right loops lost and false ones stopped by each doubt on a drive whose true poses are known."""
     lost, stopped = Counter[str](), Counter[str]()
     for number, judged in enumerate(drive.candidates):
         for one in judged:
             if isinstance(one.claim.verdict, VerifiedLoop) and not one.claim.accepted:
-                counts = lost if _is_right(places[number], places[one.match.id], one.claim) else stopped
+                counts = lost if is_right(*_error(places, number, one)) else stopped
                 counts.update(doubt.value for doubt in one.claim.doubts)
     return {name: RulePrice(lost[name], stopped[name]) for name in sorted(lost.keys() | stopped.keys())}
 
 
-def _is_right(query: DescribedSubmap, match: DescribedSubmap, claim: LoopClaim) -> bool:
-    if claim.T_match_query is None:
-        return False
-    T_match_query = se3.from_yaw(-match.yaw) @ claim.T_match_query @ se3.from_yaw(query.yaw)
-    off_m, off_deg = pose_error(query, match, T_match_query)
-    return off_m <= RIGHT_M and off_deg <= RIGHT_DEG
+def _error(places: AskedPlaces, number: int, judged: JudgedCandidate) -> tuple[float, float]:
+    """How far the pose of a claim is off, metres and degrees; infinitely where it has none."""
+    query, match, T_match_query = places.queries[number], places.mapped[judged.match.id], judged.claim.T_match_query
+    if T_match_query is None:
+        return float("inf"), float("inf")
+    return pose_error(query, match, se3.from_yaw(-match.yaw) @ T_match_query @ se3.from_yaw(query.yaw))

@@ -19,9 +19,11 @@ from revisit.evaluation.cutting import cut
 from revisit.evaluation.datasets import Recording
 from revisit.evaluation.described_submaps import DescribedSubmap, DescriptionWork, describe_submaps
 from revisit.evaluation.drive_acceptance import (
+    AskedPlaces,
     JudgedDrive,
-    PairMethod,
+    accepted_loops,
     judge_drive,
+    judging,
     ranked_matches,
     rule_prices,
 )
@@ -111,7 +113,10 @@ def evaluate(
         "positive_radius_m": options.positive_radius, "leave_distance_m": config.loop.leave_distance
     }  # fmt: skip
     if drive is not None:
-        summary["rules"] = {name: dataclasses.asdict(price) for name, price in rule_prices(places, drive).items()}
+        asked = AskedPlaces(places, places)
+        loops = accepted_loops(asked, drive)
+        summary["loops"] = {"accepted": len(loops.pairs), "queries": loops.queries, "false": loops.false}
+        summary["rules"] = {name: dataclasses.asdict(price) for name, price in rule_prices(asked, drive).items()}
     summary["recording"] = {"name": recording.name, "scans": len(recording)}
     summary["options"] = dataclasses.asdict(options) | {"scene_scale": config.scene_scale}
     summary["wall_seconds"] = time.perf_counter() - started
@@ -126,13 +131,15 @@ def _verified(
     report: Progress,
 ) -> tuple[list[QueryMatches], JudgedDrive | None]:
     """The ranked candidates of each submap: those of the product judged together, of another method each by itself."""
-    if isinstance(method, PairMethod):
+    product = judging(method)
+    if product is not None:
 
         def verified(done: int) -> None:
             report("verify", done, len(places))
 
-        drive = judge_drive(places, method, candidates, options.jobs, verified)
-        return ranked_matches(places, candidates, drive, options.positive_radius), drive
+        asked = AskedPlaces(places, places)
+        drive = judge_drive(asked, product, candidates, options.jobs, verified)
+        return ranked_matches(asked, candidates, drive, options.positive_radius), drive
     matches = list[QueryMatches]()
     for match in verify_all(VerificationWork(places, method, options.positive_radius), candidates, options.jobs):
         matches.append(match)

@@ -7,16 +7,26 @@ change over time.
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from lab.recognition.remembered_verdicts import remembered
 from revisit.evaluation.baselines import PlaceRecogniser, ScanContext
 from revisit.evaluation.cutting import Window, cut, load_submap
 from revisit.evaluation.datasets import Recording
 from revisit.evaluation.described_submaps import DescribedSubmap, DescriptionWork, describe_submaps, in_processes
+from revisit.evaluation.drive_acceptance import (
+    AcceptedLoops,
+    AskedPlaces,
+    accepted_loops,
+    is_right,
+    judge_drive,
+    judging,
+)
 from revisit.evaluation.loop_closure_method import LoopClosureMethod, RevisitMethod
 from revisit.evaluation.matching import QueryMatches, VerificationWork, pose_error, search_map, verify_all
 from revisit.evaluation.perturbations import turned
@@ -26,10 +36,11 @@ from revisit.evaluation.scene import estimate_scene_scale
 
 @dataclass(frozen=True)
 class InterleavedResult:
-    """Shares 0..1 of the queries whose first match lies within `radius_m`; pose errors of the accepted ones.
+    """Shares 0..1 of the queries whose first match lies within `radius_m`.
 
-    accepted_wrong counts accepted matches farther away than `radius_m`; accepted_false those whose pose is off by more
-    than 2 m or 5 degrees.
+    accepted: first matches that pass as pairs alone, and the median errors of their poses; accepted_wrong of these
+    farther away than `radius_m`; accepted_false those whose pose is false. loops, false_loops: as the service accepts
+    them, None for a method that judges single pairs alone.
     """
 
     queries: int
@@ -40,6 +51,8 @@ class InterleavedResult:
     accepted: int
     accepted_wrong: int
     accepted_false: int
+    loops: int | None
+    false_loops: int | None
     median_error_m: float | None
     median_error_deg: float | None
     baselines: dict[str, float]
@@ -62,54 +75,59 @@ def evaluate_interleaved(
     Turning uses `options.perturbation.rotate_seed`, or 0 where it is None. Raises as reading the recording does.
     """
     config = options.pipeline(estimate_scene_scale(recording))
-    method = method or RevisitMethod(config, options.ablation, options.profile)
+    method = remembered(method or RevisitMethod(config, options.ablation, options.profile))
     seed = options.perturbation.rotate_seed
     perturbation = dataclasses.replace(options.perturbation, rotate_seed=0 if seed is None else seed)
     maps = cut(recording, config.submap, range(0, len(recording), 2))
     windows = maps + cut(recording, config.submap, range(1, len(recording), 2))
     work = DescriptionWork(recording, config.submap, perturbation, method, options.seed)
     places = list(describe_submaps(work, windows, options.jobs))
-    found_places = search_map(places[len(maps) :], places[: len(maps)], config.loop.candidates)
+    halves = AskedPlaces(places[len(maps) :], places[: len(maps)], one_drive=False)
+    found_places = search_map(halves.queries, halves.mapped, config.loop.candidates)
     candidates = [*[()] * len(maps), *found_places]
     matches = list(verify_all(VerificationWork(places, method, radius_m), candidates, options.jobs))[len(maps) :]
     found = _baseline_matches(baselines, work, windows, len(maps), options.jobs)
-    return _score(places, len(maps), matches, found, radius_m)
+    loops, product = None, judging(method)
+    if product is not None:
+        loops = accepted_loops(halves, judge_drive(halves, product, found_places, options.jobs, lambda _: None))
+    return _score(halves, matches, loops, found, radius_m)
 
 
 def _score(
-    places: list[DescribedSubmap],
-    map_count: int,
+    places: AskedPlaces,
     matches: list[QueryMatches],
+    loops: AcceptedLoops | None,
     found: dict[str, list[int]],
     radius_m: float,
 ) -> InterleavedResult:
     """All figures; found[baseline] is the map submap of every query."""
-    queries = places[map_count:]
-    by_cosine = [_within(query, places, m.by_similarity[0].id if m.by_similarity else None, radius_m)
+    queries, mapped = places.queries, places.mapped
+    by_cosine = [_within(query, mapped, m.by_similarity[0].id if m.by_similarity else None, radius_m)
                  for query, m in zip(queries, matches, strict=True)]  # fmt: skip
-    by_score = [_within(query, places, m.ranked[0].id if m.ranked else None, radius_m)
+    by_score = [_within(query, mapped, m.ranked[0].id if m.ranked else None, radius_m)
                 for query, m in zip(queries, matches, strict=True)]  # fmt: skip
     accepted = [bool(m.ranked) and m.ranked[0].verdict.accepted for m in matches]
     errors = np.array([
-        pose_error(query, places[m.ranked[0].id], m.ranked[0].T_match_query)
+        pose_error(query, mapped[m.ranked[0].id], m.ranked[0].T_match_query)
         for query, m, taken in zip(queries, matches, accepted, strict=True)
         if taken and m.ranked[0].T_match_query is not None
     ]).reshape(-1, 2)  # fmt: skip
     baselines = {
-        name: _share([_within(query, places, match, radius_m) for query, match in zip(queries, rows, strict=True)])
+        name: _share([_within(query, mapped, match, radius_m) for query, match in zip(queries, rows, strict=True)])
         for name, rows in found.items()
     }
     return InterleavedResult(
-        queries=len(queries), map_submaps=map_count, radius_m=radius_m,
+        queries=len(queries), map_submaps=len(mapped), radius_m=radius_m,
         descriptor_recall_at_1=_share(by_cosine), verified_recall_at_1=_share(by_score), accepted=sum(accepted),
         accepted_wrong=sum(taken and not right for taken, right in zip(accepted, by_score, strict=True)),
-        accepted_false=int(np.sum((errors[:, 0] > 2.0) | (errors[:, 1] > 5.0))),
+        accepted_false=sum(not is_right(*error) for error in errors.tolist()),
+        loops=None if loops is None else len(loops.pairs), false_loops=None if loops is None else loops.false,
         median_error_m=float(np.median(errors[:, 0])) if len(errors) else None,
         median_error_deg=float(np.median(errors[:, 1])) if len(errors) else None, baselines=baselines,
     )  # fmt: skip
 
 
-def _within(query: DescribedSubmap, places: list[DescribedSubmap], match: int | None, radius_m: float) -> bool:
+def _within(query: DescribedSubmap, places: Sequence[DescribedSubmap], match: int | None, radius_m: float) -> bool:
     return match is not None and bool(np.linalg.norm(places[match].position - query.position) <= radius_m)
 
 

@@ -6,6 +6,7 @@ prediction          accepted pairs predict the pose of further candidates
 alternatives        PERCEPTUAL_ALIAS, BETTER_ALTERNATIVE
 consistent_share    LOW_CONSISTENT_SHARE
 consistency         PAIRWISE_INCONSISTENT, ODOMETRY_INCONSISTENT
+map_recall          pairs tested again from the poses of a map
 support             ambiguous claims decided by those beside them, SUPPORT_LOST
 distinctiveness     other spots where a submap would pass
 rules               all of them, in order
@@ -21,12 +22,21 @@ from revisit.core.acceptance.claim import (
     StationInMap,
     Support,
 )
+from revisit.core.acceptance.map_recall import MOST_MOVED_M, accept_near
 from revisit.core.acceptance.prediction import PredictedPoses, verify_in_turn
-from revisit.core.acceptance.rules import Decided, Drive, accept, accept_cloud, stride_of_drive, submaps_asked
+from revisit.core.acceptance.rules import (
+    Decided,
+    Drive,
+    accept,
+    accept_cloud,
+    best_loop,
+    stride_of_drive,
+    submaps_asked,
+)
 from revisit.core.acceptance.support import VerifyNear
 
 __all__ = [
-    "TELLING", "Decided", "Distinctiveness", "Doubt", "Drive", "Grounds", "LoopClaim", "PredictedPoses", "Station",
-    "StationInMap", "Support", "VerifyNear", "accept", "accept_cloud", "stride_of_drive", "submaps_asked",
-    "verify_in_turn",
+    "MOST_MOVED_M", "TELLING", "Decided", "Distinctiveness", "Doubt", "Drive", "Grounds", "LoopClaim", "PredictedPoses",
+    "Station", "StationInMap", "Support", "VerifyNear", "accept", "accept_cloud", "accept_near", "best_loop",
+    "stride_of_drive", "submaps_asked", "verify_in_turn",
 ]  # fmt: skip

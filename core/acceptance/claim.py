@@ -144,6 +144,11 @@ class LoopClaim:
         return self.ambiguous and not self.doubts.keys().isdisjoint(_WITHDRAWING)
 
     @property
+    def tells(self) -> bool:
+        """Whether it is evidence of its drive: a loop, or a pair whose reason tells whether pairs pass at its pose."""
+        return self.T_match_query is not None and (self.accepted or self.reason in TELLING)
+
+    @property
     def measurement(self) -> LoopMeasurement | None:
         """The measurement of its pair, None where the geometry was not looked at."""
         return self.verdict.measurement

@@ -84,6 +84,12 @@ def accept_cloud(
     return _with(judged, inconsistent(judged, config.verification, config.submap.stride))
 
 
+def best_loop(claims: Sequence[LoopClaim]) -> int | None:
+    """The row of the loop with the highest score, the first of equal ones; None where no claim is a loop."""
+    loops = [row for row, claim in enumerate(claims) if claim.accepted]
+    return max(loops, key=lambda row: (claims[row].score, -row), default=None)
+
+
 def _with(claims: Sequence[LoopClaim], changed: dict[int, LoopClaim]) -> list[LoopClaim]:
     """The claims, those in the rows that changed replaced."""
     return [changed.get(row, claim) for row, claim in enumerate(claims)]

@@ -25,7 +25,7 @@ from lab.recognition.comparison import (
     describe_recording,
 )
 from lab.recognition.experiment import Experiment
-from lab.recognition.remembered_verdicts import RememberedVerdicts
+from lab.recognition.remembered_verdicts import remembered
 from lab.worlds.drives import DrivenWorld
 from revisit.core.config import PipelineConfig
 from revisit.core.model_bundle import load_packaged_models
@@ -57,7 +57,7 @@ def evaluate_domain(
     if not file.exists():
         folder.mkdir(parents=True, exist_ok=True)
         comparison = Comparison(
-            RememberedVerdicts(used), domain.submap, domain.loops, PEERS, candidates, verified_peers=candidates > 0
+            remembered(used), domain.submap, domain.loops, PEERS, candidates, verified_peers=candidates > 0
         )
         recordings = domain.make(Setting(folder, share))
         if isinstance(recordings.queries, DrivenWorld):

@@ -20,13 +20,13 @@ from lab.recognition.document import Document
 from lab.recognition.experiment import Experiment, MethodResult, scores
 from lab.worlds.drives import DrivenWorld
 from lab.worlds.open_world import OpenWorld
+from revisit.evaluation.drive_acceptance import is_right
 from revisit.evaluation.simulator.blocks import Material
 
-FALSE_M, FALSE_DEG = 2.0, 5.0
-"""An accepted loop whose pose is off by more than this is false."""
-
 _OURS = (PRODUCT, VERIFIED)
-_FIGURES = ("AUC", "F1", "recall@1", "recall at full precision", "accepted", "false")
+_FIGURES = (
+    "AUC", "F1", "recall@1", "recall at full precision", "alone: accepted", "false", "as served: loops", "false"
+)  # fmt: skip
 _DRAWN_POINTS = 150_000
 _COLOURS = {
     Material.GROUND: "#ded6c8", Material.GRASS: "#b5cf8f", Material.WALL: "#555555", Material.GLASS: "#7f9fff",
@@ -37,7 +37,11 @@ _COLOURS = {
 
 @dataclass(frozen=True)
 class DomainFigures:
-    """A method's figures in one domain; `accepted` and `false` are None where it verifies nothing."""
+    """A method's figures in one domain.
+
+    `accepted`, `false`: first answers that pass as pairs alone, None where it verifies nothing; `loops`, `false_loops`:
+    as the service accepts them, None where no service would run the method.
+    """
 
     auc: float
     f1: float
@@ -45,17 +49,20 @@ class DomainFigures:
     recall_at_full_precision: float
     accepted: int | None
     false: int | None
+    loops: int | None
+    false_loops: int | None
 
 
 def figures(experiment: Experiment, result: MethodResult) -> DomainFigures:
     """The figures of one method."""
     measured = scores(result, experiment.ground_truth())
-    metres, degrees = np.array(result.poses.metres), np.array(result.poses.degrees)
+    errors, loops = zip(result.poses.metres, result.poses.degrees, strict=True), result.loops
     verifies = bool(result.accepted) or result.method.endswith(("verified", "verification"))
     return DomainFigures(
         measured.recognition.auc.value, measured.recognition.max_f1.value, measured.recall_at_1,
         measured.recognition.recall_at_full_precision, len(result.accepted) if verifies else None,
-        int(((metres > FALSE_M) | (degrees > FALSE_DEG)).sum()) if verifies else None,
+        sum(not is_right(*error) for error in errors) if verifies else None,
+        None if loops is None else len(loops.pairs), None if loops is None else loops.false,
     )  # fmt: skip
 
 
@@ -120,8 +127,14 @@ def _summary(method: str, names: Sequence[str], of: dict[tuple[str, str], Domain
 
 
 def _cells(rows: Sequence[DomainFigures]) -> list[str]:
-    """The means of the figures, and the sums of the counts; nothing for counts of methods without verification."""
+    """The means of the figures, and the sums of the counts; nothing for counts that a method does not have."""
     shares = [(row.auc, row.f1, row.recall_at_1, row.recall_at_full_precision) for row in rows]
-    counts = [(row.accepted, row.false or 0) for row in rows if row.accepted is not None]
-    sums = [str(sum(column)) for column in zip(*counts, strict=True)] if counts else ["", ""]
-    return [*(f"{mean:.3f}" for mean in np.mean(shares, axis=0)), *sums]
+    alone = [(row.accepted, row.false) for row in rows]
+    served = [(row.loops, row.false_loops) for row in rows]
+    return [*(f"{mean:.3f}" for mean in np.mean(shares, axis=0)), *_sums(alone), *_sums(served)]
+
+
+def _sums(counts: Sequence[tuple[int | None, int | None]]) -> list[str]:
+    """The sums of pairs of counts, of the rows that have them."""
+    known = [(count, false or 0) for count, false in counts if count is not None]
+    return [str(sum(column)) for column in zip(*known, strict=True)] if known else ["", ""]

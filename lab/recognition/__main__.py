@@ -76,12 +76,15 @@ def recognition(
     verified_peers: Annotated[
         bool, typer.Option("--verified-peers", help="Verify the first answers of every baseline, too.")
     ] = False,
+    peers: Annotated[bool, typer.Option(help="Compare with the baselines.")] = True,
     candidates: Annotated[int, typer.Option(min=1, help="How many first answers are verified.")] = 20,
 ) -> None:
     """Recognition of the product and of every baseline, as one report; a second run goes on where the first ended."""
     own = OwnRecordings(tuple(recording or ()), sessions, file_format)
     lengths = Lengths(tau, stride, min_index_gap, positive_radius)
-    how = {"jobs": jobs, "verified_peers": verified_peers, "candidates": candidates}
+    how: dict[str, Any] = {"jobs": jobs, "verified_peers": verified_peers, "candidates": candidates}
+    if not peers:
+        how["baselines"] = ()
     _compare_methods(out, recordings or out / "recordings", (drives, protocols), own, lengths, how)
 
 

@@ -24,7 +24,7 @@ from lab.recognition.comparison import (
     verified_result,
 )
 from lab.recognition.experiment import Experiment
-from lab.recognition.remembered_verdicts import RememberedVerdicts
+from lab.recognition.remembered_verdicts import RememberedVerdicts, remembered
 from lab.recognition.scan_baseline import with_bow3d
 from lab.recognition.sequential_baseline import with_map_closures
 from lab.worlds.towns import DRIVES, SESSIONS, SimulatedDrive
@@ -106,7 +106,7 @@ class BenchmarkPlan:
     ) -> list[tuple[str, Comparison]]:
         """The product (or `method`) and the baselines apart, each with the inputs of its results.
 
-        With an ablation only the product's descriptor.
+        With an ablation only the product's descriptor; without baselines the product alone.
         """
         config = self.pipeline(scene_scale)
         submap = config.submap
@@ -115,14 +115,14 @@ class BenchmarkPlan:
         product = Comparison(
             method or RevisitMethod(config, ablation), submap, self.loops, (), candidates, jobs=self.jobs
         )
-        if ablation != "none":
+        if ablation != "none" or not self.baselines:
             return [(who, product)]
         peers = Comparison(None, submap, self.loops, self.baselines, 0, scene_scale, jobs=self.jobs)
         about = repr((self.baselines, scene_scale, map_closures.is_installed(), Bow3d()))
         if not self.verified_peers or product.method is None:
             return [(who, product), (about, peers)]
-        method = RememberedVerdicts(product.method)
-        both = dataclasses.replace(peers, method=method, candidates=candidates, verified_peers=True)
+        once = remembered(product.method)
+        both = dataclasses.replace(peers, method=once, candidates=candidates, verified_peers=True)
         return [(f"{who} {about}", both)]
 
 

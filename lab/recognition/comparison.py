@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -9,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from lab.recognition.experiment import Experiment, MethodResult, PoseErrors
+from lab.recognition.remembered_verdicts import remembered
 from revisit.core.config import SubmapConfig
 from revisit.core.errors import RevisitError
 from revisit.core.index import Match
@@ -16,6 +18,7 @@ from revisit.evaluation.baselines import Descriptor, PlaceRecogniser
 from revisit.evaluation.cutting import Window, cut, load_submap
 from revisit.evaluation.datasets import Recording
 from revisit.evaluation.described_submaps import DescribedSubmap, DescriptionWork, describe_submap, in_processes
+from revisit.evaluation.drive_acceptance import AcceptedLoops, AskedPlaces, accepted_loops, judge_drive, judging
 from revisit.evaluation.ground_truth import GroundTruth
 from revisit.evaluation.loop_closure_method import LoopClosureMethod
 from revisit.evaluation.matching import QueryMatches, VerificationWork, pose_error, search_map, verify_all
@@ -175,12 +178,32 @@ def _product_results(
     comparison: Comparison,
     report: Progress,
 ) -> list[MethodResult]:
-    """The product's descriptor alone and, unless left out, after verification."""
+    """The product's descriptor alone and, unless left out, after verification: each pair alone, and as served."""
     matches, search_s = _search(submaps, ground_truth, comparison)
     results = [_descriptor_result(submaps, matches, search_s)]
-    if comparison.candidates > 0:
-        results.append(verified_result(comparison, submaps, report, matches))
+    if comparison.candidates > 0 and comparison.method is not None:
+        once = dataclasses.replace(comparison, method=remembered(comparison.method))
+        alone = verified_result(once, submaps, report, matches)
+        results.append(dataclasses.replace(alone, loops=served_loops(once, submaps, report)))
     return results
+
+
+def served_loops(comparison: Comparison, submaps: QueriesAndMap, report: Progress) -> AcceptedLoops | None:
+    """The loops that the service accepts when it is driven so; None for a method that judges single pairs alone.
+
+    Its candidates are those of the service, whatever the protocol: how many, and which submaps of a drive.
+    """
+    method = judging(comparison.method)
+    if method is None:
+        return None
+    queries, mapped = [one.submap for one in submaps.queries], [one.submap for one in submaps.mapped]
+    places, loop, allowed = AskedPlaces(queries, mapped, submaps.own_map), method.config.loop, None
+    if submaps.own_map:
+        positions = np.array(_positions(submaps.mapped)).reshape(-1, 3)
+        allowed = GroundTruth.of_one_drive(positions, loop, comparison.loops.positive_radius_m).allowed
+    found = search_map(queries, mapped, loop.candidates, allowed, own_map=submaps.own_map)
+    drive = judge_drive(places, method, found, comparison.jobs, lambda done: report("judge", done, len(queries)))
+    return accepted_loops(places, drive)
 
 
 def _descriptor_result(submaps: QueriesAndMap, matches: list[tuple[Match, ...]], search_s: float) -> MethodResult:
@@ -204,7 +227,7 @@ def verified_result(
     matches: list[tuple[Match, ...]],
     name: str = VERIFIED,
 ) -> MethodResult:
-    """The first candidates of the matches after verification, with the poses of the accepted ones.
+    """The first candidates of the matches after verification of each pair alone, with the poses of those that pass.
 
     Raises ValueError for a comparison without a method.
     """

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from revisit.evaluation.drive_acceptance import AcceptedLoops
 from revisit.evaluation.ground_truth import GroundTruth
 from revisit.evaluation.metrics import (
     LoopProtocol,
@@ -26,7 +27,7 @@ from revisit.evaluation.metrics import (
 
 @dataclass(frozen=True)
 class PoseErrors:
-    """Metres and degrees (k,) of the accepted loops of a method."""
+    """Metres and degrees (k,) of the first answers of a method that pass alone."""
 
     metres: tuple[float, ...]
     degrees: tuple[float, ...]
@@ -37,7 +38,8 @@ class MethodResult:
     """The matches of one method.
 
     candidates[q]: the map submaps it ranks first, best first; score[q] of the first, None where there is none; times in
-    seconds a submap; `accepted` queries whose loop was let through, and the errors of their poses, where it verifies.
+    seconds a submap; `accepted` queries whose first answer passes as a pair alone, and the errors of their poses, where
+    it verifies; `loops` as the service accepts them, None where no service would run the method.
     """
 
     method: str
@@ -48,6 +50,7 @@ class MethodResult:
     bytes_per_submap: float
     accepted: tuple[int, ...] = ()
     poses: PoseErrors = PoseErrors((), ())
+    loops: AcceptedLoops | None = None
 
 
 @dataclass(frozen=True)
@@ -97,7 +100,7 @@ class Experiment:
         fields: dict[str, Any] = json.loads(file.read_text())
         results = tuple(_result(values) for values in fields.pop("results"))
         loops = LoopProtocol(**fields.pop("loops"))
-        return cls(**{name: _frozen(value) for name, value in fields.items()}, loops=loops, results=results)
+        return cls(**_frozen_fields(fields), loops=loops, results=results)
 
 
 @dataclass(frozen=True)
@@ -137,8 +140,13 @@ def scores(result: MethodResult, ground_truth: GroundTruth) -> Scores:
 
 
 def _result(values: dict[str, Any]) -> MethodResult:
-    poses = PoseErrors(**{name: tuple(errors) for name, errors in values.pop("poses").items()})
-    return MethodResult(**{name: _frozen(value) for name, value in values.items()}, poses=poses)
+    poses, stored = PoseErrors(**_frozen_fields(values.pop("poses"))), values.pop("loops")
+    loops = None if stored is None else AcceptedLoops(**_frozen_fields(stored))
+    return MethodResult(**_frozen_fields(values), poses=poses, loops=loops)
+
+
+def _frozen_fields(values: dict[str, Any]) -> dict[str, Any]:
+    return {name: _frozen(value) for name, value in values.items()}
 
 
 def _frozen(value: Any) -> Any:

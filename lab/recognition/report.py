@@ -16,6 +16,7 @@ from lab.recognition.document import Document
 from lab.recognition.experiment import Experiment, MethodResult, Scores, query_outcomes, scores
 from lab.recognition.failures import Failure, worst_failures
 from lab.recognition.pictures import draw_curves, draw_map, draw_pairs
+from revisit.evaluation.drive_acceptance import RIGHT_DEG, RIGHT_M
 from revisit.evaluation.metrics import Interval, Outcomes, mean_auc
 
 NAME = "recognition"
@@ -174,22 +175,42 @@ def _directions(document: Document, experiments: Sequence[Experiment]) -> None:
 
 
 def _poses(document: Document, experiments: Sequence[Experiment]) -> None:
-    """Errors of the poses of accepted loops, and how many loops were wrongly accepted."""
+    """Errors of the poses of first answers that pass as pairs alone; and the loops as the service accepts them."""
     rows = []
     for experiment in experiments:
         for result in experiment.results:
             if result.poses.metres:
                 rows.append([f"{experiment.sequence}, {experiment.protocol}", *_pose_figures(result)])
     if rows:
-        document.heading("Poses of accepted loops")
-        columns = ["sequence", "loops", "median m", "95 % m", "median deg", "95 % deg", "within 2 m, 5 deg",
+        document.heading("First answers that pass as pairs alone")
+        columns = ["sequence", "answers", "median m", "95 % m", "median deg", "95 % deg", "within 2 m, 5 deg",
                    "within 0.5 m, 1 deg", "false"]  # fmt: skip
+        document.table(columns, rows)
+    _served(document, experiments)
+
+
+def _served(document: Document, experiments: Sequence[Experiment]) -> None:
+    """How many loops the service accepts where pairs alone are accepted, and how many are false."""
+    rows = []
+    for experiment in experiments:
+        for result in experiment.results:
+            if result.loops is not None:
+                loops, alone = result.loops, _pose_figures(result) if result.poses.metres else ["0"]
+                counts = [alone[0], alone[-1], str(len(loops.pairs)), str(loops.queries), str(loops.false)]
+                rows.append([f"{experiment.sequence}, {experiment.protocol}", *counts])
+    if rows:
+        document.heading("Loops as the service accepts them")
+        document.paragraph(
+            "With the candidates of the service, judged by all rules; several loops a query. Beside them the first "
+            "answers that pass as pairs alone."
+        )
+        columns = ["sequence", "alone: accepted", "false", "as served: loops", "queries with a loop", "false"]
         document.table(columns, rows)
 
 
 def _pose_figures(result: MethodResult) -> list[str]:
     metres, degrees = np.array(result.poses.metres), np.array(result.poses.degrees)
-    good = (metres <= 2.0) & (degrees <= 5.0)
+    good = (metres <= RIGHT_M) & (degrees <= RIGHT_DEG)
     fine = (metres <= 0.5) & (degrees <= 1.0)
     return [
         str(len(metres)), f"{np.median(metres):.3f}", f"{np.percentile(metres, 95):.3f}", f"{np.median(degrees):.3f}",

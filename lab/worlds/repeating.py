@@ -22,6 +22,9 @@ from revisit.core.place import Place
 from revisit.core.place.extraction import extract_place
 from revisit.core.surface import Surface
 from revisit.core.verification import VerifiedLoop, verify
+from revisit.evaluation.described_submaps import DescribedSubmap
+from revisit.evaluation.drive_acceptance import AskedPlaces
+from revisit.evaluation.loop_closure_method import Description
 
 Array64 = NDArray[np.float64]
 Samples = tuple[Array64, Array64]
@@ -127,9 +130,36 @@ def drawn_pairs(world: World, visits: list[Visit], count: int, seed: int, *, sam
         )  # fmt: skip
 
 
+def two_drives(world: World, count: int, seed: int, codebooks: Codebooks, config: PipelineConfig) -> AskedPlaces:
+    """Two drives along x with `count` submaps each, a stride apart: the second, perhaps the other way, asks the first.
+
+    Their poses are true, as of a perfect odometry; frames of their own.
+    """
+    rng, drives = np.random.default_rng([seed, 5]), []
+    for drive, (start_m, turn) in enumerate(((0.0, 0.0), (rng.uniform(-5.0, 5.0), rng.choice([0.0, np.pi])))):
+        poses = [_on_the_way(start_m + number * config.submap.stride, turn, rng) for number in range(count)]
+        poses = poses[::-1] if turn else poses
+        drives.append([_described(world, pose, (seed, drive, n), codebooks, config) for n, pose in enumerate(poses)])
+    return AskedPlaces(drives[1], drives[0], one_drive=False)
+
+
+def _on_the_way(x_m: float, turn: float, rng: np.random.Generator) -> se3.Matrix4:
+    return se3.from_yaw(turn + rng.normal(0.0, 0.03), (x_m, rng.uniform(-0.6, 0.6), _SENSOR_HEIGHT_M))
+
+
+def _described(
+    world: World, pose: se3.Matrix4, of: tuple[int, int, int], codebooks: Codebooks, config: PipelineConfig
+) -> DescribedSubmap:
+    """The submap in a row of a drive, `of`: seed, drive, row. It has no descriptor: all places here look alike."""
+    seed, _, row = of
+    place = visit(world, pose, list(of), seed, codebooks, config)
+    description = Description(np.zeros(1, np.float32), place.to_blob())
+    return DescribedSubmap(row, (row,), pose[:3, 3], pose, 0.0, description, None, len(place.points))
+
+
 @dataclass(frozen=True)
 class Judgement:
-    """The verification of a pair.
+    """The verification of a pair alone.
 
     accepted; `right`: the pose it accepts, or would accept, is the true one; `among`: the true pose is that one or one
     of the hypotheses (rivals).
@@ -146,7 +176,7 @@ class Judgement:
 
 
 def judge(pair: RepeatingPair, config: PipelineConfig) -> Judgement:
-    """Verify a pair; a pose is right within 1 m and 5 degrees (periods are longer)."""
+    """Verify a pair alone; a pose is right within 1 m and 5 degrees (periods are longer)."""
     verdict = verify(pair.query, pair.match, 1.0, config.verification)
     accepted, measured = isinstance(verdict, VerifiedLoop), verdict.measurement
     if measured is None:
@@ -154,10 +184,14 @@ def judge(pair: RepeatingPair, config: PipelineConfig) -> Judgement:
     poses = [measured.T_match_query, *(rival.T_match_query for rival in measured.rivals)]
     errors = [se3.inverse(pair.T_match_query) @ pose for pose in poses]
     right = [
-        float(np.linalg.norm(error[:3, 3])) < RIGHT_M and float(np.degrees(se3.rotation_angle(error))) < RIGHT_DEG
-        for error in errors
+        is_right(float(np.linalg.norm(error[:3, 3])), float(np.degrees(se3.rotation_angle(error)))) for error in errors
     ]
     return Judgement(accepted, right[0], any(right))
+
+
+def is_right(metres: float, degrees: float) -> bool:
+    """Whether a pose that is off by so much is right here: periods are short."""
+    return metres < RIGHT_M and degrees < RIGHT_DEG
 
 
 def visit(

@@ -12,7 +12,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from revisit.core.acceptance import LoopClaim, Station, StationInMap, accept_cloud
+from revisit.core.acceptance import LoopClaim, Station, StationInMap, accept_cloud, best_loop
 from revisit.core.config import PipelineConfig
 from revisit.core.errors import DescriptorModelMismatch
 from revisit.core.geometry import se3
@@ -95,8 +95,7 @@ class AreaMap:
             [self._claim(described, match) for match in found], [self._in_map(match) for match in found], self._config
         )
         judged = [self._candidate(match, claim) for match, claim in zip(found, claims, strict=True)]
-        accepted = [n for n, candidate in enumerate(judged) if candidate.accepted]
-        best = max(accepted, key=lambda n: (judged[n].score, -n), default=None)
+        best = best_loop(claims)
         if best is None or (T_match_query := judged[best].T_match_query) is None:
             return Localization(candidates=tuple(judged))
         submap = self.file.submaps[found[best].id]

@@ -136,7 +136,7 @@ def evidence_of(claim: LoopClaim, rules: VerificationConfig) -> Evidence:
 def kept_evidence(claim: LoopClaim, rules: VerificationConfig) -> Evidence:
     """As `evidence_of`; in brief where a pair was rejected for a reason that no rule reads (docs/decisions/0091)."""
     evidence = evidence_of(claim, rules)
-    if claim.accepted or claim.reason in TELLING:
+    if claim.tells:
         return evidence
     measured = evidence["measurement"]
     return {**evidence, "measurement": {name: measured[name] for name in BRIEF if name in measured}}

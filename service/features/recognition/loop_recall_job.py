@@ -14,9 +14,10 @@ from typing import Any
 
 import numpy as np
 
+from revisit.core.acceptance import MOST_MOVED_M, accept_near
 from revisit.core.geometry import se3
 from revisit.core.geometry.se3 import Matrix4, pose_matrix, pose_row
-from revisit.core.pair_verdict import Authority, InitialPose, PairVerdict, RejectedLoop, RejectionReason, VerifiedLoop
+from revisit.core.pair_verdict import Authority, InitialPose, PairVerdict, RejectedLoop, VerifiedLoop
 from revisit.service.domain.identity import TenantId
 from revisit.service.domain.policy import Policy
 from revisit.service.domain.records import LoopRecord, MapRecord, SubmapRecord
@@ -45,11 +46,6 @@ nor reasons that hold from any start."""
 
 MOST_RECALLED = 50
 """Loops, at most, that one version of a map gives another chance."""
-
-MOST_MOVED_M = 3.0
-"""In a scene of scale 1: a pose farther from the map's is another place. Also the largest standard deviation of the
-relative pose in the map.
-"""
 
 SAME_M = 0.5
 SAME_RAD = np.radians(2.0)
@@ -111,7 +107,8 @@ class LoopRecallJob:
     def _recalled(self, loop: RecalledLoop) -> RecalledLoop:
         config, match = self._context.policy.for_map(loop.map), RecalledPlace(loop.match, loop.record.similarity)
         initial = InitialPose(loop.T_match_query, Authority.COMPETES)
-        return kept_near(loop, self._comparison.verify(loop.query, match, config, initial))
+        verdict = self._comparison.verify(loop.query, match, config, initial)
+        return replace(loop, verdict=accept_near(verdict, loop.T_match_query, loop.map.scene_scale))
 
 
 def loops_to_recall(
@@ -177,15 +174,14 @@ def _is_known(frames: MapFrames, loop: LoopRecord, record: MapRecord) -> bool:
 def _was_tested(loop: LoopRecord, T_match_query: Matrix4) -> bool:
     """Whether a loop was tested again from about there."""
     evidence = loop.evidence.get(RECALL)
-    return evidence is not None and _apart(np.array(evidence["T_match_query"]).reshape(4, 4), T_match_query)[0]
+    return evidence is not None and _is_same(np.array(evidence["T_match_query"]).reshape(4, 4), T_match_query)
 
 
-def _apart(first: Matrix4, second: Matrix4) -> tuple[bool, float]:
-    """Whether two poses are the same as far as a test goes, and how many metres lie between them."""
+def _is_same(first: Matrix4, second: Matrix4) -> bool:
+    """Whether two poses are the same as far as a test goes."""
     moved = np.asarray(se3.inverse(first) @ second)
-    distance_m = float(np.linalg.norm(moved[:3, 3]))
     angle = float(np.arccos(np.clip(0.5 * (np.trace(moved[:3, :3]) - 1.0), -1.0, 1.0)))
-    return distance_m < SAME_M and angle < SAME_RAD, distance_m
+    return float(np.linalg.norm(moved[:3, 3])) < SAME_M and angle < SAME_RAD
 
 
 def _undecided(uow: UnitOfWork, tenant: TenantId, best: list[_Found]) -> list[RecalledLoop]:
@@ -210,15 +206,6 @@ def _undecided(uow: UnitOfWork, tenant: TenantId, best: list[_Found]) -> list[Re
 def _as_read(loop: LoopRecord) -> tuple[int, LoopStanding, Any]:
     """Fields that must not have changed meanwhile: the loop, its standing, the result of an earlier test."""
     return loop.number, LoopStanding.of(loop), loop.evidence.get(RECALL)
-
-
-def kept_near(loop: RecalledLoop, verdict: PairVerdict) -> RecalledLoop:
-    """A loop with its verdict; one that is accepted far from the map's pose is rejected all the same."""
-    if isinstance(verdict, VerifiedLoop):
-        _, moved_m = _apart(loop.T_match_query, verdict.measurement.T_match_query)
-        if moved_m > MOST_MOVED_M * loop.map.scene_scale:
-            verdict = RejectedLoop(RejectionReason.FAR_FROM_MAP, verdict.measurement)
-    return replace(loop, verdict=verdict)
 
 
 @dataclass(frozen=True)

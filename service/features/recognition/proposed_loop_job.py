@@ -7,8 +7,9 @@ from functools import partial
 
 import numpy as np
 
+from revisit.core.acceptance import LoopClaim
 from revisit.core.geometry.se3 import pose_matrix, pose_row
-from revisit.core.pair_verdict import InitialPose, PairVerdict, RejectedLoop, VerifiedLoop
+from revisit.core.pair_verdict import InitialPose, PairVerdict, VerifiedLoop
 from revisit.service.domain.policy import Policy
 from revisit.service.domain.records import JobRecord, LoopRecord, MapRecord, SubmapRecord
 from revisit.service.domain.states import LoopEventKind, LoopState
@@ -16,7 +17,7 @@ from revisit.service.features.corrections.job import EarlyCorrections
 from revisit.service.features.graph.posting import optimise_soon
 from revisit.service.features.index.comparison import Comparison
 from revisit.service.features.index.place_memory import RecalledPlace
-from revisit.service.features.loops.claims import rules_of, verdict_evidence
+from revisit.service.features.loops.claims import loop_state, rules_of, station, verdict_evidence
 from revisit.service.features.loops.rows import Change, change_loop
 from revisit.service.ports.job_context import JobContext
 from revisit.service.ports.job_queue import Lease
@@ -58,9 +59,9 @@ class VerdictCommit:
             uow.queue.complete(self.lease, NO_LONGER_PROPOSED)
             return
         verdict, measured = self.verdict, self.verdict.measurement
-        accepted = isinstance(verdict, VerifiedLoop)
-        state = LoopState.ACCEPTED if accepted else LoopState.REJECTED
-        reason = verdict.reason.value if isinstance(verdict, RejectedLoop) else None
+        # A person or a client has named the pair: it is judged alone.
+        claim = LoopClaim(station(self.pair.query), station(self.pair.match.submap), verdict)
+        state, reason = loop_state(claim), None if claim.reason is None else claim.reason.value
         evidence = verdict_evidence(verdict, self.policy.for_map(self.pair.map).verification)
         model = {"model_version": self.pair.query.model_version}
         change_loop(
@@ -74,7 +75,7 @@ class VerdictCommit:
             T_match_query=loop.T_match_query if measured is None else pose_row(measured.T_match_query),
             evidence={**evidence, **model},
         )
-        if accepted:
+        if claim.accepted:
             optimise_soon(uow, loop.tenant, loop.map_id, self.policy, self.now_ns)
         result = {"loop_closure": f"maps/{loop.map_id}/loopClosures/{loop.loop_id}", "state": state.value}
         uow.queue.complete(self.lease, {**result, "reason": reason})

@@ -7,7 +7,7 @@ from functools import partial
 
 import numpy as np
 
-from revisit.core.acceptance import LoopClaim, Station, accept_cloud
+from revisit.core.acceptance import LoopClaim, Station, accept_cloud, best_loop
 from revisit.core.config import PipelineConfig
 from revisit.core.geometry.se3 import pose_matrix
 from revisit.core.geometry.upright import levelling
@@ -115,8 +115,7 @@ def _in_map(uow: UnitOfWork, found: Localization, judged: list[JudgedPlace]) -> 
 
 def _localization(judged: list[JudgedPlace], k: int, config: PipelineConfig) -> Localization:
     """The best candidate and the `k` most similar ones, itself among them, of all that were judged together."""
-    accepted = [row for row, one in enumerate(judged) if one.claim.accepted]
-    best = max(accepted, key=lambda row: (judged[row].claim.score, -row), default=None)
+    best = best_loop([one.claim for one in judged])
     rows = [row for row in range(len(judged)) if row < k or row == best]
     candidates = {row: _candidate(judged[row], config) for row in rows}
     if best is None:

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from lab.repeating_campaign import DriveCounts, run_drives
 from lab.worlds.repeating import (
     WORLDS,
     Judgement,
@@ -15,6 +16,7 @@ from lab.worlds.repeating import (
     drawn_pairs,
     judge,
     repeating_pairs,
+    two_drives,
     visits_of,
 )
 from revisit.core.config import PipelineConfig
@@ -101,6 +103,30 @@ def test_of_random_pairs_in_worlds_that_repeat_none_is_accepted_with_a_wrong_pos
         f"{apart} pairs apart and {same} of one place: {false} accepted with a wrong pose; of one place the true pose "
         f"is accepted in {accepted} and accepted or a hypothesis in {among}"
     )
+
+
+@pytest.mark.parametrize("size", sizes("REPEATING_DRIVES", 1, 7))
+def test_of_two_drives_in_a_world_that_repeats_no_wrong_pose_is_accepted_by_the_service(size: int) -> None:
+    """P31. The rules over a drive may decide pairs that none by itself decides, and take none on trust."""
+    campaign, counts = Campaign("P31", size), list[DriveCounts]()
+    orchard_first = sorted(WORLDS, key=lambda world: world.name != "orchard")
+    for number, world in zip(range(size), orchard_first, strict=False):
+        counts.append(run_drives(world, 300 + number, CONFIG, 2 if size == 1 else 6))
+    assert sum(one.served_wrong for one in counts) == 0
+    assert counts[0].served_right > 0
+    pairs, right = sum(one.pairs for one in counts), sum(one.served_right for one in counts)
+    campaign.publish(
+        f"{pairs} pairs of two drives as the service judges them: 0 accepted with a wrong pose, {right} right"
+    )
+
+
+def test_two_drives_pass_the_same_places_each_in_its_order() -> None:
+    places = two_drives(WORLDS[0], 3, 4, load_packaged_models().codebooks, CONFIG)
+    for drive in (places.queries, places.mapped):
+        steps = np.diff([one.position[0] for one in drive])
+        np.testing.assert_allclose(np.abs(steps), CONFIG.submap.stride)
+    assert places.query(1).drive != places.match(1).drive
+    assert abs(min(one.position[0] for one in places.queries)) <= 5.0
 
 
 def test_pairs_are_drawn_once_and_are_what_they_say() -> None:

@@ -1,0 +1,24 @@
+"""A pair that is tested again from where a map has its two submaps: a loop there, or none."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from revisit.core.geometry import se3
+from revisit.core.geometry.se3 import Matrix4
+from revisit.core.pair_verdict import PairVerdict, RejectedLoop, RejectionReason, VerifiedLoop
+
+MOST_MOVED_M = 3.0
+"""In a scene of scale 1: a pose farther from the map's is another place. Also the largest standard deviation of the
+relative pose in the map.
+"""
+
+
+def accept_near(verdict: PairVerdict, T_match_query: Matrix4, scene_scale: float) -> PairVerdict:
+    """The verdict on a pair tested from T_match_query (4, 4) of the map: FAR_FROM_MAP where it passes elsewhere."""
+    if not isinstance(verdict, VerifiedLoop):
+        return verdict
+    moved = se3.inverse(T_match_query) @ verdict.measurement.T_match_query
+    if float(np.linalg.norm(moved[:3, 3])) <= MOST_MOVED_M * scene_scale:
+        return verdict
+    return RejectedLoop(RejectionReason.FAR_FROM_MAP, verdict.measurement)
