@@ -17,8 +17,9 @@ if TYPE_CHECKING:
     from revisit.sdk.clouds import Cloud as Cloud
     from revisit.sdk.errors import ApiError as ApiError
     from revisit.sdk.input_watch import SuspiciousInput as SuspiciousInput
+    from revisit.sdk.tables import to_dataframe as to_dataframe
 
-__all__ = ["ApiError", "AsyncClient", "Client", "Cloud", "SuspiciousInput"]
+__all__ = ["ApiError", "AsyncClient", "Client", "Cloud", "SuspiciousInput", "to_dataframe"]
 
 _HOMES = {
     "ApiError": "revisit.sdk.errors",
@@ -26,6 +27,7 @@ _HOMES = {
     "Client": "revisit.sdk.client",
     "Cloud": "revisit.sdk.clouds",
     "SuspiciousInput": "revisit.sdk.input_watch",
+    "to_dataframe": "revisit.sdk.tables",
 }
 
 
