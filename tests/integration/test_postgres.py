@@ -12,11 +12,12 @@ import pytest
 from sqlalchemy import create_engine, text
 from sqlalchemy.exc import DBAPIError
 
-from revisit.service.domain.errors import AlreadyExists
+from revisit.service.domain.errors import AlreadyExists, StorageUncertain
 from revisit.service.domain.identity import TenantId
+from revisit.service.engines.postgres import connections
 from revisit.service.engines.postgres.transactions import PostgresTransactions
 from revisit.service.features.audit.calls import AuditEntry, append, judge
-from tests.support.patience import PATIENCE_S
+from tests.support.patience import PATIENCE_S, eventually, in_time
 from tests.support.records import TENANT, a_job, a_map
 from tests.support.stepped_clock import SteppedClock
 
@@ -45,6 +46,30 @@ def test_what_two_processes_count_in_one_record_is_counted_once_each(two):
     for future in [store.write(counted) for _ in range(40) for store in two]:
         future.result(PATIENCE_S)
     assert two[0].read(lambda uow: uow.maps.get(TENANT, "town")).result().graph_edits == 80
+
+
+def test_a_writer_that_stops_in_its_transaction_keeps_its_rows_from_nobody(postgres_url, monkeypatch):
+    monkeypatch.setattr(connections, "IDLE_S", 1)
+    stores = [PostgresTransactions(postgres_url, clock=SteppedClock("boot", 0)) for _ in range(2)]
+    stores[1].write(lambda uow: uow.maps.add(a_map())).result()
+    held, goes_on = threading.Event(), threading.Event()
+
+    def stop(uow):
+        counted(uow)
+        held.set()
+        goes_on.wait(PATIENCE_S)
+        counted(uow)
+
+    stopped = stores[0].write(stop)
+    assert held.wait(PATIENCE_S)
+    freed_s = eventually(lambda: stores[1].write(counted).exception(PATIENCE_S) is None, "its rows are kept")
+    assert in_time(freed_s, 5.0)
+    goes_on.set()
+    with pytest.raises(StorageUncertain):
+        stopped.result(PATIENCE_S)
+    assert stores[1].read(lambda uow: uow.maps.get(TENANT, "town")).result().graph_edits == 1
+    for store in stores:
+        store.close()
 
 
 def test_groups_that_need_the_same_records_in_another_order_never_wait_for_each_other(two):

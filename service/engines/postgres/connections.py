@@ -15,7 +15,10 @@ READERS = 2
 """Threads that read for the event loop. Other threads read for themselves, each with a connection of its own."""
 
 MOST_READERS = 16
-CONNECTING = {"connect_timeout": 5, "application_name": "revisit", "client_encoding": "utf8"}
+WATCHED = {"keepalives_idle": 5, "keepalives_interval": 2, "keepalives_count": 3, "tcp_user_timeout": 10_000}
+"""A server whose host was cut off resets no connection: it is given up after about 10 s without any answer."""
+
+CONNECTING = {"connect_timeout": 5, "application_name": "revisit", "client_encoding": "utf8", **WATCHED}
 POOL_S = 5.0
 
 LOCK_MS = 2000
@@ -23,6 +26,9 @@ LOCK_MS = 2000
 
 TRANSACTION_S = 60
 """After this long the server ends a transaction: one that is forgotten would keep rows locked, and dead rows."""
+
+IDLE_S = 10
+"""After this long without a statement the server ends a writer's transaction: its process was stopped or cut off."""
 
 TRANSACTION_TIMEOUT_FROM = (17,)
 """The version of PostgreSQL that can end a transaction for its length; those before end one that does nothing."""
@@ -47,14 +53,14 @@ def server_url(text: str) -> URL:
 def writer_engine(url: URL) -> Engine:
     """An engine of one connection, whose transactions see what is committed before each statement."""
     engine = _engine(url, pool_size=1, max_overflow=0)
-    _begin_with(engine, f"BEGIN; SET LOCAL lock_timeout = {LOCK_MS}")
+    _begin_with(engine, f"BEGIN; SET LOCAL lock_timeout = {LOCK_MS}", IDLE_S)
     return engine
 
 
 def reader_engine(url: URL) -> Engine:
     """An engine for reading: its transactions see one snapshot and can change nothing."""
     engine = _engine(url, pool_size=READERS, max_overflow=MOST_READERS - READERS)
-    _begin_with(engine, "BEGIN ISOLATION LEVEL REPEATABLE READ READ ONLY")
+    _begin_with(engine, "BEGIN ISOLATION LEVEL REPEATABLE READ READ ONLY", TRANSACTION_S)
     return engine
 
 
@@ -70,15 +76,12 @@ def _engine(url: URL, *, pool_size: int, max_overflow: int) -> Engine:
     )
 
 
-def _begin_with(engine: Engine, begin: str) -> None:
+def _begin_with(engine: Engine, begin: str, idle_s: int) -> None:
     """All limits are those of the transaction, so that a pooler between may hand on the session."""
 
     @event.listens_for(engine, "begin")
     def begin_transaction(connection: Connection) -> None:
-        connection.exec_driver_sql(f"{begin}; {_limit(connection)}")
-
-
-def _limit(connection: Connection) -> str:
-    version = connection.dialect.server_version_info or OLDEST
-    kind = "transaction_timeout" if version >= TRANSACTION_TIMEOUT_FROM else "idle_in_transaction_session_timeout"
-    return f"SET LOCAL {kind} = '{TRANSACTION_S}s'"
+        limits = f"SET LOCAL idle_in_transaction_session_timeout = '{idle_s}s'"
+        if (connection.dialect.server_version_info or OLDEST) >= TRANSACTION_TIMEOUT_FROM:
+            limits += f"; SET LOCAL transaction_timeout = '{TRANSACTION_S}s'"
+        connection.exec_driver_sql(f"{begin}; {limits}")
