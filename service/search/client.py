@@ -31,6 +31,9 @@ PATIENCE_S = 15.0
 
 AGAIN_S = 0.2
 
+WATCHED = tuple((f"grpc.{name}_ms", 2_000) for name in ("keepalive_time", "keepalive_timeout", "http2.ping_timeout"))
+"""A process whose host was cut off resets no connection. One that loads a map answers pings, and is waited for."""
+
 
 def search_processes(uow: UnitOfWork) -> list[LivingProcess]:
     """Those that live."""
@@ -111,7 +114,7 @@ class RemotePlaceSearch:
     def _call(self, address: str) -> Call:
         with self._lock:
             if address not in self._calls:
-                self._calls[address] = grpc.insecure_channel(address).unary_unary(
+                self._calls[address] = grpc.insecure_channel(address, WATCHED).unary_unary(
                     f"/{SERVICE}/{NEAREST}", pb.NearestRequest.SerializeToString, pb.NearestResponse.FromString
                 )
             return self._calls[address]

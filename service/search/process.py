@@ -6,11 +6,13 @@ import secrets
 import socket
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 
 import structlog
 
+from revisit.service.domain.errors import Unavailable
 from revisit.service.domain.placement import owners
 from revisit.service.domain.processes import LivingProcess, ProcessRole
 from revisit.service.domain.records import MapRecord
@@ -113,14 +115,24 @@ class HeldMaps:
         return any(one.process_id == self._me.process_id for one in (*owners(number, alive), *owners(number, settled)))
 
 
+@contextmanager
+def put_off() -> Iterator[None]:
+    """A database that does not answer is asked again with the next round; the maps that are held stay in memory."""
+    try:
+        yield
+    except Unavailable as error:
+        log.warning("search_round_put_off", reason=error.message)
+
+
 class Rounds:
     """Repeats a piece of work in a thread of its own until told to stop.
 
-    Where a round fails, all end, as others ask this process; the chores of a gateway (`Upkeep`) go on.
+    Where the database is away, a round is put off. Where one fails otherwise, all end, as others ask this process; the
+    chores of a gateway (`Upkeep`) go on.
     """
 
     def __init__(self, work: Callable[[], object], every_s: float, failed: Callable[[], None]) -> None:
-        """`failed` is called where the work raises."""
+        """`failed` is called where the work raises anything but Unavailable."""
         self._work = work
         self._every_s = every_s
         self._failed = failed
@@ -136,7 +148,8 @@ class Rounds:
     def _run(self) -> None:
         try:
             while not self._stopping.is_set():
-                self._work()
+                with put_off():
+                    self._work()
                 self._stopping.wait(self._every_s)
         except Exception:
             log.exception("search_round_failed")
@@ -177,7 +190,8 @@ class SearchService:
         stopping.wait()
         for one in rounds:
             one.stop()
-        maps.leave()
+        with put_off():
+            maps.leave()
         self._server.stop(GRACE_S)
         return self._status
 

@@ -21,6 +21,9 @@ SERVICE, NEAREST = "revisit.internal.v1.PlaceSearchService", "Nearest"
 TOKEN = "revisit-search-token"
 """The metadata of a call that proves the secret."""
 
+PINGED = (("grpc.http2.max_ping_strikes", 0),)
+"""Whoever waits for an answer may ask as often as it likes whether this process is still there."""
+
 THREADS = 4
 """Answers at a time: one computes while others read what was committed."""
 
@@ -38,7 +41,7 @@ class PlaceSearchServer:
         self._search = search
         self._load = load
         self._token = token_of(secret).encode()
-        self._server = grpc.server(ThreadPoolExecutor(THREADS, thread_name_prefix="search"))
+        self._server = grpc.server(ThreadPoolExecutor(THREADS, thread_name_prefix="search"), options=PINGED)
         nearest = grpc.unary_unary_rpc_method_handler(
             self._answer, pb.NearestRequest.FromString, pb.NearestResponse.SerializeToString
         )

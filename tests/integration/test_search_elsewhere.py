@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from contextlib import contextmanager
+import threading
+import time
+from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 
 import grpc
@@ -12,7 +14,7 @@ import pytest
 from revisit.core.errors import BadField
 from revisit.core.index import FaissIndex
 from revisit.internal.v1 import place_search_pb2 as pb
-from revisit.service.domain.errors import Unavailable
+from revisit.service.domain.errors import StorageUncertain, Unavailable
 from revisit.service.domain.processes import LivingProcess, ProcessRole
 from revisit.service.engines.local.vector_index import PlaceVectorIndex
 from revisit.service.features.catalogue.maps import CreateMap
@@ -23,8 +25,10 @@ from revisit.service.search import client
 from revisit.service.search.client import RemotePlaceSearch
 from revisit.service.search.load import MapLoad
 from revisit.service.search.messages import question_message, question_of
-from revisit.service.search.process import HeldIndex, HeldMaps
+from revisit.service.search.process import HeldIndex, HeldMaps, Rounds
 from revisit.service.search.server import NEAREST, SERVICE, PlaceSearchServer
+from tests.faults.proxy import bad_link
+from tests.support.patience import PATIENCE_S, in_time
 from tests.support.service_world import SESSION, TENANT, described_home, sqlite_world, submap
 
 SUBMAPS = 12
@@ -48,12 +52,12 @@ def world(home, tmp_path):
 class Process:
     """A search process in a thread of this one."""
 
-    def __init__(self, world, process_id, secret=SECRET):
+    def __init__(self, world, process_id, secret=SECRET, address=""):
         transactions, index = world.context.transactions, PlaceVectorIndex(FaissIndex)
         self.held = HeldIndex(world.context.storage, index, CaughtUpIndex(transactions, index))
         self.server = PlaceSearchServer(self.held.caught_up, secret, MapLoad())
         self.address = f"127.0.0.1:{self.server.start('127.0.0.1:0')}"
-        self.maps = HeldMaps(self.held, process_id, self.address, MapLoad())
+        self.maps = HeldMaps(self.held, process_id, address or self.address, MapLoad())
 
     def size(self, map_number):
         return self.held.index.size(map_number)
@@ -147,6 +151,29 @@ def test_another_process_answers_where_the_first_is_gone(world):
         assert there.nearest(question(world)) == expected
 
 
+def test_another_process_answers_where_the_link_to_the_first_goes_dark(world):
+    """A host that is cut off says nothing: its process counts as living for seconds, and no connection is reset."""
+    with ExitStack() as stack:
+        (first,) = stack.enter_context(running(world, "search-a"))
+        link = stack.enter_context(bad_link(first.address))
+        behind = HeldMaps(first.held, "search-a", link.address, MapLoad())
+        behind.show()
+        behind.tend()
+        there = elsewhere(world)
+        expected = there.nearest(question(world))
+        assert link.connections == 1
+        (second,) = stack.enter_context(running(world, "search-b"))
+
+        def only_the_second_shows_itself():
+            world.clock.ms += client.ALIVE_WITHIN_MS + 1
+            second.maps.show()
+
+        link.dark, began_s = True, time.monotonic()
+        threading.Timer(1.0, only_the_second_shows_itself).start()
+        assert there.nearest(question(world)) == expected
+        assert in_time(time.monotonic() - began_s, client.PATIENCE_S / 2)
+
+
 def test_a_process_of_another_secret_gets_no_answer(world, monkeypatch):
     monkeypatch.setattr(client, "PATIENCE_S", 0.5)
     with running(world, "search-a") as (process,):
@@ -206,3 +233,21 @@ def test_a_process_that_shows_itself_no_more_is_asked_no_more(world):
     with running(world, "search-a"):
         alive = world.context.transactions.read(client.search_processes).result()
         assert [one.process_id for one in alive] == ["search-a"]
+
+
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")
+@pytest.mark.parametrize(("error", "ends"), [(StorageUncertain("the database failed"), False), (OSError(), True)])
+def test_a_round_without_a_database_is_put_off_and_any_other_failure_ends_the_process(error, ends):
+    done, failed, outcomes = threading.Event(), threading.Event(), iter([None, error, error, None])
+
+    def work():
+        outcome = next(outcomes, done)
+        if outcome is done:
+            done.set()
+        elif outcome is not None:
+            raise outcome
+
+    rounds = Rounds(work, 0.001, failed.set)
+    assert (failed if ends else done).wait(PATIENCE_S)
+    rounds.stop()
+    assert failed.is_set() is ends
