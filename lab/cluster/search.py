@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from revisit.core.index import ExactIndex, FaissIndex, IndexEntry, SearchFilter
+from revisit.service.domain.errors import Unavailable
 from revisit.service.domain.identity import TenantId
 from revisit.service.domain.processes import LivingProcess, ProcessRole
 from revisit.service.engines.local.vector_index import PlaceVectorIndex
@@ -66,17 +67,17 @@ def places(count: int) -> Iterator[Vectors]:
 
 
 def serve(count: int, channel: Connection) -> None:
-    """The search process: tells its port, and at the end the CPU seconds of its answers."""
-    index, number = PlaceVectorIndex(FaissIndex), 0
-    began_s = time.process_time()
+    """The search process: tells its port and the CPU seconds of loading, then those of its answers."""
+    index, number, loaded_s = PlaceVectorIndex(FaissIndex), 0, 0.0
     for vectors in places(count):
         changes = []
         for vector in vectors:
             number += 1
             where = (float(number), 0.0, 0.0)
             changes.append(IndexChange(number, number, number // 500, number % 500, where, vector.tobytes()))
+        began_s = time.process_time()
         index.apply(MAP, changes, changes[0].seq - 1, more=number < count)
-    loaded_s = time.process_time() - began_s
+        loaded_s += time.process_time() - began_s
     search = CaughtUpIndex(cast(Transactions, NoRows([])), index)
     server = PlaceSearchServer(search, SECRET, MapLoad())
     channel.send((server.start("127.0.0.1:0"), loaded_s))
@@ -114,7 +115,7 @@ def main() -> None:
 
 
 def measured(count: int, searches: int, port: int, channel: Connection) -> dict[str, dict[str, float]]:
-    """Milliseconds of a search as who asks sees them, and CPU milliseconds of the process that answers."""
+    """Milliseconds of a search as who asks sees them, and of CPU in the process that answers."""
     alive = [LivingProcess("lab", ProcessRole.SEARCH, f"127.0.0.1:{port}", ready=True)]
     remote = RemotePlaceSearch(cast(Transactions, NoRows(alive)), SECRET, cast(PlaceSearch, None))
     noise = 0.1 * np.random.default_rng(2).normal(size=(searches, DIMENSION))
@@ -122,21 +123,36 @@ def measured(count: int, searches: int, port: int, channel: Connection) -> dict[
     figures: dict[str, dict[str, float]] = {}
     for name, where in filters(count).items():
         questions = [PlaceQuestion(TENANT, MAP, query, K, where) for query in queries]
-        remote.nearest(questions[0])
-        before_s, took_ms, found = cpu_s(channel), [], []
+        answered(remote, questions[0])
+        took_ms, spent_ms, found = [], [], []
         for question in questions:
-            began_s = time.perf_counter()
+            before_s, began_s = cpu_s(channel), time.perf_counter()
             answer = remote.nearest(question)
             took_ms.append(1e3 * (time.perf_counter() - began_s))
+            spent_ms.append(1e3 * (cpu_s(channel) - before_s))
             found.append({match.submap_number for match in answer.matches})
-        spent_ms = 1e3 * (cpu_s(channel) - before_s) / searches
-        p50, p99 = np.percentile(took_ms, [50, 99])
-        figures[name] = {"p50 ms": round(p50, 1), "p99 ms": round(p99, 1), "CPU ms": round(spent_ms, 2)}
+        figures[name] = {**spread("ms", took_ms), **spread("CPU ms", spent_ms)}
         if count <= MOST_EXACT:
             true = exact(count, queries[:COMPARED], where)
             shares = [len(one & other) / K for one, other in zip(found, true, strict=False)]
             figures[name] |= {"recall": round(float(np.mean(shares)), 4)}
     return figures
+
+
+def answered(remote: RemotePlaceSearch, question: PlaceQuestion) -> None:
+    """Ask until there is an answer: the first one loads what later ones need, on a busy machine for a while."""
+    while True:
+        try:
+            remote.nearest(question)
+            return
+        except Unavailable:
+            continue
+
+
+def spread(unit: str, values: list[float]) -> dict[str, float]:
+    """Median and 99th percentile."""
+    p50, p99 = np.percentile(values, [50, 99])
+    return {f"p50 {unit}": round(float(p50), 2), f"p99 {unit}": round(float(p99), 2)}
 
 
 def cpu_s(channel: Connection) -> float:
