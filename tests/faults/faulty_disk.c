@@ -1,7 +1,9 @@
-/* A disk on which one in PER of the writes finds no room and one in PER of the syncs fails: preloaded into the service.
+/* A disk that fails, is full or is slow: preloaded into the service.
 
-   Only files below FAULTY_DISK_BELOW, only while the file FAULTY_DISK_SWITCH exists. Every failure is a line in the file
-   FAULTY_DISK_LOG ("sync /path", "write /path"). Which call fails follows from FAULTY_DISK_SEED, the number of the call
+   Only files below FAULTY_DISK_BELOW, only while the file FAULTY_DISK_SWITCH exists. What it holds says how: 'full', no
+   write finds room; 'slow', a sync takes SLOW_SYNC_MS and one in PER of the writes SLOW_WRITE_MS; else one in PER of the
+   writes finds no room and one in PER of the syncs fails. Every failure is a line in the file FAULTY_DISK_LOG
+   ("sync /path", "write /path"). Which call fails follows from FAULTY_DISK_SEED, the number of the call
    in its process, and how long the log was when the process began: a process that is started again fails elsewhere.
    A sync that fails leaves the data in the kernel, where a restart finds it; a write that fails writes nothing. */
 
@@ -16,9 +18,10 @@
 #include <sys/stat.h>
 #include <sys/syscall.h>
 #include <sys/uio.h>
+#include <time.h>
 #include <unistd.h>
 
-enum { PER = 20 };
+enum { PER = 20, SLOW_SYNC_MS = 300, SLOW_WRITE_MS = 50 };
 
 static const char *below, *log_path, *switch_path;
 static uint64_t seed;
@@ -61,12 +64,30 @@ static void note(const char *what, const char *path) {
     close(log);
 }
 
+/* The first letter in the switch: 'f' for full, 's' for slow, ' ' where it is empty; 0 where there is none. */
+static char trouble(void) {
+    char how = ' ';
+    int file = switch_path ? open(switch_path, O_RDONLY | O_CLOEXEC) : -1;
+    if (file < 0) return 0;
+    if (syscall(SYS_read, file, &how, 1) < 0) how = ' ';
+    close(file);
+    return how;
+}
+
+static void wait_ms(long ms) {
+    struct timespec left = {ms / 1000, ms % 1000 * 1000000};
+    while (nanosleep(&left, &left) != 0 && errno == EINTR) {
+    }
+}
+
 /* Whether this call fails; errno is then `number`, and else what it was. */
 static int fails(int fd, const char *what, int number) {
-    char path[PATH_MAX];
-    int before = errno;
-    int unlucky = below && log_path && switch_path && access(switch_path, F_OK) == 0 && is_below(fd, path) &&
-                  mixed(seed + mixed(atomic_fetch_add(&calls, 1))) % PER == 0;
+    char path[PATH_MAX], how = 0;
+    int before = errno, sync = number == EIO;
+    int meant = below && log_path && (how = trouble()) != 0 && is_below(fd, path);
+    int chosen = meant && mixed(seed + mixed(atomic_fetch_add(&calls, 1))) % PER == 0;
+    if (meant && how == 's' && (sync || chosen)) wait_ms(sync ? SLOW_SYNC_MS : SLOW_WRITE_MS);
+    int unlucky = meant && (how == 'f' ? !sync : how != 's' && chosen);
     if (unlucky) note(what, path);
     errno = unlucky ? number : before;
     return unlucky;

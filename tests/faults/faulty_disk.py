@@ -1,43 +1,44 @@
-"""A disk that fails now and then under the real service: faulty_disk.c, compiled here and preloaded there."""
+"""A disk that fails, is full or slow under the real service: faulty_disk.c, compiled here and preloaded there."""
 
 from __future__ import annotations
 
-import shutil
-import subprocess
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
+from enum import StrEnum
 from pathlib import Path
 from typing import Any
 
+from tests.faults.preloaded import compiled, launcher
 from tests.support.processes import ServiceProcess
 
-SOURCE = Path(__file__).with_name("faulty_disk.c")
-COMPILER = shutil.which("cc")
+
+class Trouble(StrEnum):
+    """Of a disk: one in 20 calls fails, no write finds room, or syncs take 0.3 s."""
+
+    FAILING = ""
+    FULL = "full"
+    SLOW = "slow"
 
 
 class FaultyDisk:
-    """One in 20 writes and one in 20 syncs of files below `below` fail, within `failing`; seeded."""
+    """Writes and syncs of files below `below` have a trouble, within `failing`; seeded."""
 
     def __init__(self, below: Path, workplace: Path, seed: int) -> None:
         """The library and the list of failures are kept in `workplace`. Raises CalledProcessError if cc does."""
-        library = workplace / "faulty_disk.so"
         self._switch, self._log = workplace / "failing", workplace / "failures"
-        options = ("-shared", "-fPIC", "-O2", "-Wall", "-Wextra", "-Werror", "-D_GNU_SOURCE")
-        subprocess.run([str(COMPILER), *options, "-o", str(library), str(SOURCE)], check=True)
-        self.launcher = (
-            "env",
-            f"LD_PRELOAD={library}",
-            f"FAULTY_DISK_BELOW={below}",
-            f"FAULTY_DISK_SWITCH={self._switch}",
-            f"FAULTY_DISK_LOG={self._log}",
-            f"FAULTY_DISK_SEED={seed}",
-        )
+        self.library = compiled("faulty_disk", workplace)
+        self.variables = {
+            "FAULTY_DISK_BELOW": str(below),
+            "FAULTY_DISK_SWITCH": str(self._switch),
+            "FAULTY_DISK_LOG": str(self._log),
+            "FAULTY_DISK_SEED": str(seed),
+        }
 
     @contextmanager
-    def failing(self) -> Iterator[None]:
-        """The disk fails within the block."""
-        self._switch.touch()
+    def failing(self, how: Trouble = Trouble.FAILING) -> Iterator[None]:
+        """The disk has this trouble within the block."""
+        self._switch.write_text(how)
         try:
             yield
         finally:
@@ -53,5 +54,5 @@ class OnFaultyDisk(ServiceProcess):
     """The service with the library preloaded."""
 
     def __init__(self, home: Path, disk: FaultyDisk, **settings: Any) -> None:
-        self.launcher = disk.launcher
+        self.launcher = launcher(disk)
         super().__init__(home, **settings)

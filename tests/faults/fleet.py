@@ -42,9 +42,9 @@ class Robot:
         for _ in range(attempts):
             if self.attempt(submap_id, place) is Outcome.OK:
                 del self.open[submap_id]
-                self._fleet.crew.stop.wait(PAUSE_S)
+                self._fleet.crew.stop.wait(self._fleet.pause_s)
                 break
-            if self._fleet.crew.stop.wait(PAUSE_S):
+            if self._fleet.crew.stop.wait(self._fleet.pause_s):
                 break
         return submap_id, place
 
@@ -57,6 +57,8 @@ class Robot:
 
 class Fleet:
     """Two robots over REST, one over gRPC and one that streams scans, on links that outlive the service."""
+
+    pause_s = PAUSE_S
 
     def __init__(
         self, service: ServiceProcess, http: BadLink, grpc: BadLink, expected: frozenset[int], nacks: frozenset[str]
@@ -111,7 +113,7 @@ class Fleet:
 
     def _stream(self) -> None:
         self.scanner.stream(self.grpc.address, self.scanner.committed_seq + 20)
-        self.crew.stop.wait(PAUSE_S)
+        self.crew.stop.wait(self.pause_s)
 
 
 @contextmanager

@@ -12,9 +12,10 @@ from contextlib import closing
 import httpx
 import pytest
 
-from tests.faults.faulty_disk import COMPILER, FaultyDisk, OnFaultyDisk
+from tests.faults.faulty_disk import FaultyDisk, OnFaultyDisk
 from tests.faults.fleet import Fleet, Robot, fleet_of
 from tests.faults.history import Outcome
+from tests.faults.preloaded import COMPILER
 from tests.faults.robots import EXPECTED, TOO_FEW_POINTS
 from tests.support.campaigns import Campaign, sizes
 from tests.support.patience import PATIENCE_S

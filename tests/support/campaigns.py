@@ -6,6 +6,7 @@ Each takes its size from REVISIT_TEST_<NAME>, ends early once REVISIT_CAMPAIGN_M
 from __future__ import annotations
 
 import os
+import secrets
 import time
 from collections.abc import Callable, Iterator
 from datetime import UTC, datetime
@@ -19,6 +20,13 @@ def sizes(name: str, quick: int, full: int) -> list[object]:
     """Parameters of a test: `quick` for `make test`; as slow, what REVISIT_TEST_<name> says, else `full`."""
     wanted = int(os.environ.get(f"REVISIT_TEST_{name}", str(full)))
     return [pytest.param(quick, id=str(quick)), pytest.param(wanted, id=str(wanted), marks=pytest.mark.slow)]
+
+
+def seed_of_this_run() -> int:
+    """REVISIT_TEST_SEED, else a new one; printed, so that a failure is repeated with it."""
+    seed = int(os.environ.get("REVISIT_TEST_SEED", str(secrets.randbelow(10**6))))
+    print(f"REVISIT_TEST_SEED={seed}", flush=True)
+    return seed
 
 
 class Campaign:

@@ -33,9 +33,16 @@ def downgrade():
 '''
 
 
+def add_next_step(migrations: Path) -> Path:
+    """Add it to a folder of migrations; its file."""
+    step = migrations / "versions" / f"{NEXT_REVISION}_next_step.py"
+    step.write_text(STEP)
+    return step
+
+
 def migrations_with_a_next_step(folder: Path) -> Path:
     """A folder of them beside `folder`'s other files."""
     made = folder / "migrations"
     shutil.copytree(MIGRATIONS, made, ignore=shutil.ignore_patterns("__pycache__"))
-    (made / "versions" / f"{NEXT_REVISION}_next_step.py").write_text(STEP)
+    add_next_step(made)
     return made

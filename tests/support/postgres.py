@@ -33,19 +33,28 @@ _names = count(1)
 class PostgresServer:
     """A server of its own folder, on a Unix socket in it. `sync`: commits reach the disk."""
 
-    def __init__(self, folder: Path, *, sync: bool = False) -> None:
-        """Makes the cluster, does not start it."""
-        self.folder, self._sync = folder, sync
+    PORT = 5432
+
+    def __init__(self, folder: Path, *, sync: bool = False, listens: str = "", network: str = "") -> None:
+        """Makes the cluster, does not start it. `listens`: an address of its own, for the hosts of `network`."""
+        self.folder, self._sync, self._listens = folder, sync, listens
         self._process: subprocess.Popen[bytes] | None = None
         folder.mkdir(parents=True, exist_ok=True)
         if os.geteuid() == 0:
             os.chown(folder, pwd.getpwnam(UNPRIVILEGED).pw_uid, -1)
         options = ["--auth=trust", "--encoding=UTF8", "--locale=C", "--no-sync", "-U", "postgres"]
         self._run("initdb", "-D", str(folder / "data"), *options)
+        if network:
+            with (folder / "data" / "pg_hba.conf").open("a") as rules:
+                rules.write(f"host all all {network} trust\n")
 
     def start(self) -> None:
         """Start the server, again after it was stopped or killed, and wait until it answers."""
-        settings = {"listen_addresses": "", "unix_socket_directories": str(self.folder), "max_connections": "200"}
+        settings = {
+            "listen_addresses": self._listens,
+            "unix_socket_directories": str(self.folder),
+            "max_connections": "200",
+        }
         settings |= {} if self._sync else {"fsync": "off", "synchronous_commit": "off"}
         arguments = [part for name, value in settings.items() for part in ("-c", f"{name}={value}")]
         with (self.folder / "log").open("ab") as log:
@@ -72,6 +81,10 @@ class PostgresServer:
     def url(self, database: str) -> URL:
         """The address of a database."""
         return server_url(f"postgresql://postgres@/{database}?host={self.folder}")
+
+    def url_from_afar(self, url: URL) -> URL:
+        """The address of a database for another host."""
+        return server_url(f"postgresql://postgres@{self._listens}:{self.PORT}/{url.database}")
 
     def made_database(self) -> URL:
         """A new database of today's schema, copied from one that the migrations have made."""

@@ -83,9 +83,19 @@ class _Logging:
         """The process id."""
         return self._process.pid
 
+    @property
+    def ended(self) -> int | None:
+        """The exit status, where it has ended."""
+        return self._process.poll()
+
     def send(self, number: signal.Signals) -> None:
         """Send it a signal."""
         self._process.send_signal(number)
+
+    def worker_pids(self) -> list[int]:
+        """The workers that it has started."""
+        children = Path(f"/proc/{self._process.pid}/task/{self._process.pid}/children")
+        return [int(pid) for pid in children.read_text().split()]
 
     def close(self) -> None:
         """End everything that is left of it."""
@@ -111,8 +121,9 @@ class ServiceProcess(_Logging):
         seen = len(self.events)
         super().start()
         listening = self.wait_for("listening", after=seen)
-        self.url = f"http://127.0.0.1:{listening['http_port']}"
-        self.grpc_target = f"127.0.0.1:{listening['grpc_port']}"
+        host = self._environment.get("REVISIT_HOST", "127.0.0.1")
+        self.url = f"http://{host}:{listening['http_port']}"
+        self.grpc_target = f"{host}:{listening['grpc_port']}"
 
     def wait_until_it_ends(self, timeout_s: float = PATIENCE_S) -> int:
         """The exit status of a gateway that ends by itself."""
@@ -130,11 +141,6 @@ class ServiceProcess(_Logging):
         status = self._process.wait(PATIENCE_S)
         self._reader.join(PATIENCE_S)
         return status, time.monotonic() - started
-
-    def worker_pids(self) -> list[int]:
-        """The workers that the gateway has started."""
-        children = Path(f"/proc/{self._process.pid}/task/{self._process.pid}/children")
-        return [int(pid) for pid in children.read_text().split()]
 
 
 class WorkerProcess(_Logging):

@@ -17,3 +17,12 @@ def copied_tree(root: Path, folder: Path) -> None:
             continue
         target.parent.mkdir(parents=True, exist_ok=True)
         shutil.copy2(source, target, follow_symlinks=False)
+
+
+PACKAGES = ("core", "service", "revisit", "evaluation", "migrations", "tests/support")
+
+
+def copied_packages(root: Path, folder: Path) -> None:
+    """Copy what a service of the tests runs, with what was compiled of it."""
+    for name in PACKAGES:
+        shutil.copytree(root / name, folder / name, symlinks=True)
