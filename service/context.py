@@ -110,7 +110,7 @@ class ServiceContext:
     def quota(self) -> StorageQuota | None:
         """The storage quota of a tenant, if there is one."""
         most_bytes = self.policy.tenant_storage_bytes
-        return None if most_bytes is None else StorageQuota(self.storage, most_bytes)
+        return None if most_bytes is None else StorageQuota(self.storage, most_bytes, self.share)
 
     def jobs(
         self, recogniser: PlaceRecogniser, optimiser: MapOptimiser, merger: MapMerger, tiler: TileMaker

@@ -74,6 +74,7 @@ def loop_fields(view: LoopClosureView) -> Fields:
     return fields_of(
         pb.LoopClosure,
         view,
+        number=view.seq,
         query=view.query.name,
         match=view.match.name,
         **fields_in_map("t_map_query", None if view.in_map is None else view.in_map.query),

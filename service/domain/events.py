@@ -46,8 +46,11 @@ def forgotten_until(tenant: TenantId, map_id: str, number: int) -> EventRecord:
 class EventLog(Protocol):
     """The log of all maps. The numbers of a map grow in the order of the commits and are never used twice."""
 
-    def record(self, event: EventRecord) -> None:
-        """Add a row, which gets the next number of its map with the commit; nothing where the map is gone by then."""
+    def record(self, event: EventRecord, *, accepts: bool = False) -> None:
+        """Add a row, which gets the next number of its map with the commit; nothing where the map is gone by then.
+
+        `accepts`: a loop was accepted, and its `seq` is that number.
+        """
         ...
 
     def following(self, tenant: TenantId, map_id: str, number: int, limit: int) -> list[EventRecord]:
@@ -88,7 +91,9 @@ def on_loop_change(log: EventLog) -> ChangeOf[LoopRecord]:
                 after.graph_state,
             )
         if news:
-            log.record(EventRecord(after.tenant, after.map_id, EventKind.LOOP_CLOSURE.value, after.loop_id))
+            accepts = after.state == LoopState.ACCEPTED and (before is None or before.state != after.state)
+            event = EventRecord(after.tenant, after.map_id, EventKind.LOOP_CLOSURE.value, after.loop_id)
+            log.record(event, accepts=accepts)
 
     return record
 

@@ -200,7 +200,7 @@ class LoopRecord:
     """A loop closure between two submaps, accepted or rejected, with its evidence.
 
     `graph_state` is the verdict of the version of the map in force, None where none knows the loop. `manual`: a person
-    made it.
+    made it. `seq` is the number of the map's event that accepted it last, 0 where it never was: the engine gives it.
     """
 
     tenant: TenantId
@@ -221,6 +221,7 @@ class LoopRecord:
     created_at_ns: int
     graph_state: str | None = None
     manual: bool = False
+    seq: int = 0
     number: int = 0
 
     @property

@@ -189,7 +189,7 @@ class SubmapRepository(Repository[SubmapRecord], FoundSubmaps, Protocol):
         ...
 
     def placed(self, tenant: TenantId, map_id: str, after: int = 0) -> list[PlacedSubmap]:
-        """Every submap of a map with a number above `after`, with its position in its session: by session and then in
+        """Every submap of a map with a `seq` above `after`, with its position in its session: by session and then in
         the order of the drive.
         """
         ...
@@ -218,7 +218,15 @@ class SubmapRepository(Repository[SubmapRecord], FoundSubmaps, Protocol):
 
 
 class LoopRepository(Repository[LoopRecord], Protocol):
-    """Loop closures, also those of several submaps."""
+    """Loop closures, also those of several submaps, and in the order in which they were accepted."""
+
+    def accepted(
+        self, tenant: TenantId, map_id: str, *, after: int = 0, limit: int | None = None, **equals: str | int | None
+    ) -> list[LoopRecord]:
+        """The accepted loops of a map with a `seq` above `after` and fields equal to `equals`, by `seq`, at most
+        `limit`. The commits give these numbers, so whoever has seen one misses no lower one.
+        """
+        ...
 
     def telling(self, tenant: TenantId, query_numbers: Sequence[int], reasons: Sequence[str]) -> list[LoopRecord]:
         """Those of these queries (at most 1000) that were accepted, or have one of `reasons`: by query and number."""

@@ -33,7 +33,7 @@ def test_what_is_written_is_read_back_bit_for_bit(write, read):
     assert read(lambda uow: uow.scans.get(TENANT, "town", "monday", 1)) == scan
     assert read(lambda uow: uow.submaps.get(TENANT, "town", "monday", "a")) == replace(first, seq=1)
     assert read(lambda uow: uow.submaps.get(TENANT, "town", "monday", "b")) == replace(second, seq=2)
-    assert read(lambda uow: uow.loops.get(TENANT, "town", loop.loop_id)) == loop
+    assert read(lambda uow: uow.loops.get(TENANT, "town", loop.loop_id)) == replace(loop, seq=1)
 
 
 def test_an_exception_undoes_the_whole_transaction(write, read):
@@ -167,6 +167,39 @@ def test_the_loops_of_some_queries_that_tell_anything_are_read_at_once(write, re
         second.number
     ]
     assert read(lambda uow: uow.loops.telling(TENANT, [], ["AMBIGUOUS"])) == []
+
+
+def test_loops_are_in_the_order_in_which_they_were_accepted(write, read):
+    *_, first, second, loop = write(fill)
+    one, other, rejected = (replace(a_loop(first.number, second.number), loop_id=name) for name in "xyz")
+    rejected = write(lambda uow: uow.loops.add(replace(rejected, state="REJECTED", reason="AMBIGUOUS")))
+    write(lambda uow: uow.loops.add_all([one, other]))
+    write(lambda uow: uow.loops.replace(replace(rejected, state="ACCEPTED", reason=None)))
+
+    def accepted(**asked):
+        return read(lambda uow: uow.loops.accepted(TENANT, "town", **asked))
+
+    assert [one.loop_id for one in accepted()] == [loop.loop_id, "x", "y", "z"]
+    seqs = [one.seq for one in accepted()]
+    assert (
+        seqs == sorted(set(seqs))
+        and seqs[-1] == read(lambda uow: uow.events.last_numbers([(TENANT, "town")]))[TENANT, "town"]
+    )
+    assert [one.loop_id for one in accepted(after=seqs[0], limit=2)] == ["x", "y"]
+    assert [one.loop_id for one in accepted(query_session_id="elsewhere")] == []
+    again = accepted()[1]
+    write(lambda uow: uow.loops.replace(replace(again, graph_state="SET_ASIDE")))
+    assert [one.loop_id for one in accepted(graph_state=None)] == [loop.loop_id, "y", "z"]
+    assert read(lambda uow: uow.loops.accepted(OTHER, "town")) == []
+
+
+def test_submaps_after_a_number_of_their_map_are_told_with_their_places(write, read):
+    *_, first, second, _ = write(fill)
+    placed = read(lambda uow: uow.submaps.placed(TENANT, "town"))
+    seqs = {one.number: one.seq for one in read(lambda uow: uow.submaps.find(TENANT))}
+    assert [one.number for one in placed] == [first.number, second.number]
+    later = read(lambda uow: uow.submaps.placed(TENANT, "town", after=seqs[first.number]))
+    assert later == placed[1:]
 
 
 def test_replace_changes_one_record_and_needs_it_to_exist(write, read):

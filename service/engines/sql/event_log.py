@@ -22,10 +22,10 @@ class SqlEventLog:
         """All statements go through `connection`."""
         self._connection = connection
 
-    def record(self, event: EventRecord) -> None:
+    def record(self, event: EventRecord, *, accepts: bool = False) -> None:
         """See `EventLog`."""
         row = {name: getattr(event, name) for name in ("tenant", "map_id", "kind", "subject")}
-        note_event(self._connection, event.tenant, event.map_id, row)
+        note_event(self._connection, event.tenant, event.map_id, row, accepts=accepts)
 
     def following(self, tenant: TenantId, map_id: str, number: int, limit: int) -> list[EventRecord]:
         """See `EventLog`."""

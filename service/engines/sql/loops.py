@@ -6,17 +6,26 @@ from collections.abc import Sequence
 from functools import cache
 from typing import Any
 
-from sqlalchemy import BindParameter, Select, and_, bindparam, func, or_, select
+from sqlalchemy import BindParameter, Select, and_, bindparam, func, or_, select, text
 
 from revisit.service.domain.identity import TenantId
 from revisit.service.domain.records import LoopRecord
 from revisit.service.domain.states import LoopState
 from revisit.service.engines.sql import tables
-from revisit.service.engines.sql.repositories import SqlRepository, seen
+from revisit.service.engines.sql.repositories import Scalar, SqlRepository, of_tenant, seen
 
 
 class SqlLoops(SqlRepository[LoopRecord]):
     """`LoopRepository`."""
+
+    def accepted(
+        self, tenant: TenantId, map_id: str, *, after: int = 0, limit: int | None = None, **equals: Scalar
+    ) -> list[LoopRecord]:
+        """See `LoopRepository`."""
+        seq, asked = tables.loops.c.seq, of_tenant(tenant, {"map_id": map_id, **equals})
+        # The condition of the partial index, word for word.
+        query = self._rows_where(asked).where(text(tables.ACCEPTED), seq > after).order_by(seq).limit(limit)
+        return [self._of(row) for row in self._connection.execute(query, asked)]
 
     def telling(self, tenant: TenantId, query_numbers: Sequence[int], reasons: Sequence[str]) -> list[LoopRecord]:
         """See `LoopRepository`."""

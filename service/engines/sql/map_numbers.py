@@ -30,11 +30,11 @@ _MapKey = tuple[TenantId, str]
 class _Noted:
     """Rows of one map without their number: changes and events to add, and the numbers of submaps that were added.
 
-    With each change: whether its submap enters by it.
+    With each change: whether its submap enters by it. With each event: whether its loop is accepted by it.
     """
 
     changes: list[tuple[dict[str, Any], bool]] = field(default_factory=list)
-    events: list[dict[str, Any]] = field(default_factory=list)
+    events: list[tuple[dict[str, Any], bool]] = field(default_factory=list)
     submaps: list[int] = field(default_factory=list)
 
 
@@ -45,9 +45,11 @@ def note_changes(
     _notes(connection).extend(((tenant, map_id), "changes", (row, enter)) for row in rows)
 
 
-def note_event(connection: Connection, tenant: TenantId, map_id: str, row: dict[str, Any]) -> None:
-    """Add this row of `events` at the end of the transaction."""
-    _notes(connection).append(((tenant, map_id), "events", row))
+def note_event(
+    connection: Connection, tenant: TenantId, map_id: str, row: dict[str, Any], *, accepts: bool = False
+) -> None:
+    """Add this row of `events` at the end of the transaction; a loop that it `accepts` is told the number."""
+    _notes(connection).append(((tenant, map_id), "events", (row, accepts)))
 
 
 def note_submap(connection: Connection, tenant: TenantId, map_id: str, number: int) -> None:
@@ -90,6 +92,7 @@ def _number(connection: Connection, notes: list[tuple[_MapKey, str, Any]]) -> No
     events: list[dict[str, Any]] = []
     submaps: list[dict[str, Any]] = []
     entered: list[dict[str, Any]] = []
+    accepted: list[dict[str, Any]] = []
     for (tenant, map_id), its in sorted(of_map.items()):
         more = {"changes": len(its.changes), "events": len(its.events), "submaps": len(its.submaps)}
         asked = {"its_tenant": tenant, "its_map": map_id, **{f"more_{name}": count for name, count in more.items()}}
@@ -100,13 +103,17 @@ def _number(connection: Connection, notes: list[tuple[_MapKey, str, Any]]) -> No
         for seq, (row, enters) in enumerate(its.changes, first["changes"]):
             changes.append({**row, "seq": seq})
             entered += [{"its_number": row["submap_number"], "its_change": seq}] if enters else []
-        events += [{**row, "seq": seq} for seq, row in enumerate(its.events, first["events"])]
+        for seq, (row, accepts) in enumerate(its.events, first["events"]):
+            events.append({**row, "seq": seq})
+            loop = {"its_tenant": tenant, "its_map": map_id, "its_loop": row["subject"], "its_event": seq}
+            accepted += [loop] if accepts else []
         submaps += [{"its_number": number, "its_seq": seq} for seq, number in enumerate(its.submaps, first["submaps"])]
     for statement, rows in (
         (insert(tables.index_changes), changes),
         (insert(tables.events), events),
         (_numbered_submap(), submaps),
         (_entered_submap(), entered),
+        (_accepted_loop(), accepted),
     ):
         if rows:
             connection.execute(statement, rows)
@@ -132,3 +139,10 @@ def _numbered_submap() -> Update:
 def _entered_submap() -> Update:
     submaps = tables.submaps
     return update(submaps).where(submaps.c.number == bindparam("its_number")).values(entered=bindparam("its_change"))
+
+
+@cache
+def _accepted_loop() -> Update:
+    loops = tables.loops
+    key = (loops.c.tenant == bindparam("its_tenant"), loops.c.map_id == bindparam("its_map"))
+    return update(loops).where(*key, loops.c.loop_id == bindparam("its_loop")).values(seq=bindparam("its_event"))

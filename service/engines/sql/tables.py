@@ -42,6 +42,9 @@ metadata = MetaData(naming_convention=NAMING)
 ANSWERED_QUERIES = "priority = 0"
 """The condition of the index of jobs by their end: those of queries, with answers that expire."""
 
+ACCEPTED = "state = 'ACCEPTED'"
+"""The condition of the index of loops in the order in which they were accepted."""
+
 UNSEARCHED = "NOT searched"
 """The condition of the index of submaps with loops that are still searched for: a few at a time."""
 
@@ -239,10 +242,12 @@ loops = _numbered(
     _integer("created_at_ns"),
     _text("graph_state", length=16, nullable=True),
     Column("manual", Boolean, nullable=False, server_default="0"),
+    Column("seq", BigInteger, nullable=False, server_default="0"),
     ForeignKeyConstraint(["tenant", "map_id"], ["maps.tenant", "maps.map_id"]),
     ForeignKeyConstraint(["query_number"], ["submaps.number"]),
     ForeignKeyConstraint(["match_number"], ["submaps.number"]),
     Index(None, "tenant", "map_id", "state"),
+    Index(None, "tenant", "map_id", "seq", info={"where": ACCEPTED}),
     # The numbers are those of submaps, of one tenant each; the foreign keys look for a number when a submap goes.
     Index(None, "query_number"),
     Index(None, "match_number"),

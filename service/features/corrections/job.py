@@ -23,7 +23,7 @@ from revisit.service.domain.records import (
     MapRecord,
     SessionPosesRecord,
 )
-from revisit.service.domain.states import LoopState, OperationKind, OperationState
+from revisit.service.domain.states import OperationKind, OperationState
 from revisit.service.features.graph.reading import MapTask, read_task, track_loop
 from revisit.service.features.graph.session_poses import PackedSubmaps
 from revisit.service.ports.clock import Clock
@@ -63,13 +63,15 @@ class _Later:
 class _News:
     """The additions to a map since its version: loops that no version has seen, and submaps.
 
-    `task` is there where the map has to be solved first; `loops` are the best of those up to number `last_loop`.
+    `task` is there where the map has to be solved first; `loops` are the best of those up to `last_loop`, `submaps`
+    those up to `last_submap`: each the last `seq`.
     """
 
     map: MapRecord
     task: MapTask | None
     loops: tuple[TrackLoop, ...]
     last_loop: int
+    last_submap: int
     submaps: Sequence[_Later]
 
 
@@ -85,7 +87,13 @@ class _Held:
     last_submap: int = 0
     last_loop: int = 0
     ends: dict[int, Matrix4] = field(default_factory=dict)
-    loops: int = 0
+    asked: set[int] = field(default_factory=set)
+    """The loops so far, by number: one that is accepted again is known."""
+
+    @property
+    def loops(self) -> int:
+        """How many."""
+        return len(self.asked)
 
 
 class EarlyCorrections:
@@ -165,16 +173,17 @@ def _news(
     if held is not None and held.key != _key(record):
         held = None
     after = 0 if held is None else held.last_loop
-    accepted = uow.loops.find(tenant, after=after, map_id=map_id, state=LoopState.ACCEPTED.value, graph_state=None)
+    accepted = uow.loops.accepted(tenant, map_id, after=after, graph_state=None)
     loops = tuple(track_loop(loop) for loop in _best(accepted))
     if not loops:
         return None
+    last = accepted[-1].seq, uow.submaps.last_seq(tenant, map_id)
     if held is not None:
         placed = uow.submaps.placed(tenant, map_id, after=held.last_submap)
         later = [_Later(one.number, one.session_number, pose_matrix(one.T_odom_submap)) for one in placed]
-        return _News(record, None, loops, accepted[-1].number, later)
+        return _News(record, None, loops, *last, later)
     task = read_task(uow, policy, tenant, map_id)
-    return None if task is None else _News(record, task, loops, accepted[-1].number, _submaps(task))
+    return None if task is None else _News(record, task, loops, *last, _submaps(task))
 
 
 def _others_wait(uow: UnitOfWork, tenant: TenantId) -> bool:
@@ -211,11 +220,12 @@ def _known_track(track: SessionTrack, row: SessionPosesRecord) -> tuple[SessionT
 def _added(held: _Held, news: _News) -> bool:
     """Whether any of the new loops moves the map."""
     for one in news.submaps:
-        held.last_submap, held.ends[one.session_number] = max(held.last_submap, one.number), one.T_odom_submap
+        held.ends[one.session_number] = one.T_odom_submap
         if one.number not in held.in_version:
             held.solved.append(one.session_number, one.number, one.T_odom_submap)
-    held.last_loop, held.loops = news.last_loop, held.loops + len(news.loops)
-    moved = [held.solved.add(loop) for loop in news.loops]
+    held.last_loop, held.last_submap = news.last_loop, news.last_submap
+    moved = [held.solved.add(loop) for loop in news.loops if loop.number not in held.asked]
+    held.asked.update(loop.number for loop in news.loops)
     return any(moved)
 
 

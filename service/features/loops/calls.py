@@ -76,15 +76,16 @@ class Loops:
     async def watch(
         self, tenant: TenantId, map_id: str, after: int = 0, session_id: str | None = None
     ) -> AsyncIterator[LoopClosureView]:
-        """The accepted closures with a number above `after`, those to come too, until the caller stops.
+        """The accepted closures with a `seq` above `after`, those to come too, until the caller stops.
 
-        Ends when the service stops. Raises NotFound for the map and the session.
+        One that is rejected and accepted again is told again. Ends when the service stops. Raises NotFound for the map
+        and the session.
         """
         seen, happened = min(after, _LAST_NUMBER), 0
         while not self._context.admission.stopping:
             views = await self._accepted_after(tenant, map_id, seen, session_id)
             for view in views:
-                seen = view.number
+                seen = view.seq
                 yield view
             if not views:
                 happened = await self._tail.beyond(tenant, map_id, happened)
@@ -92,10 +93,8 @@ class Loops:
     async def _accepted_after(
         self, tenant: TenantId, map_id: str, after: int, session_id: str | None
     ) -> Sequence[LoopClosureView]:
-        wanted = Wanted(map_id, LoopState.ACCEPTED, session_id)
-        return await self._context.storage.read(
-            partial(_views, tenant=tenant, wanted=wanted, after=after, limit=_WATCH_BATCH)
-        )
+        wanted = Wanted(map_id, session_id=session_id)
+        return await self._context.storage.read(partial(_accepted, tenant=tenant, wanted=wanted, after=after))
 
 
 @dataclass(frozen=True)
@@ -139,9 +138,23 @@ def require_loop(uow: UnitOfWork, tenant: TenantId, map_id: str, loop_id: str) -
 
 
 def _views(uow: UnitOfWork, after: int, limit: int, *, tenant: TenantId, wanted: Wanted) -> list[LoopClosureView]:
+    _require(uow, tenant, wanted)
+    return _in_map(uow, tenant, wanted, uow.loops.find(tenant, after=after, limit=limit, **wanted.equals()))
+
+
+def _accepted(uow: UnitOfWork, tenant: TenantId, wanted: Wanted, after: int) -> list[LoopClosureView]:
+    _require(uow, tenant, wanted)
+    accepted = uow.loops.accepted(tenant, after=after, limit=_WATCH_BATCH, **wanted.equals())
+    return _in_map(uow, tenant, wanted, accepted)
+
+
+def _require(uow: UnitOfWork, tenant: TenantId, wanted: Wanted) -> None:
+    """Raises NotFound for the map and the session."""
     require_map(uow, tenant, wanted.map_id)
     if wanted.session_id is not None:
         require_session(uow, tenant, SessionKey(wanted.map_id, wanted.session_id))
-    records = uow.loops.find(tenant, after=after, limit=limit, **wanted.equals())
+
+
+def _in_map(uow: UnitOfWork, tenant: TenantId, wanted: Wanted, records: Sequence[LoopRecord]) -> list[LoopClosureView]:
     in_map = MapFrames(uow, tenant, wanted.map_id).loops(records)
     return [LoopClosureView.of(record, in_map.get(record.number)) for record in records]

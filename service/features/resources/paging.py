@@ -1,4 +1,8 @@
-"""Lists in pages: a size, an opaque token, and the token of the next page."""
+"""Lists in pages: a size, an opaque token, and the token of the next page.
+
+Rows are listed by their numbers. A list therefore holds all that was stored when its first page was asked for. Of the
+rows that are stored while its pages are read some may be missing: PostgreSQL gives the numbers before the commits.
+"""
 
 from __future__ import annotations
 

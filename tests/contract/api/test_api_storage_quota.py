@@ -78,6 +78,26 @@ async def test_a_submap_of_scans_is_not_counted_beside_its_scans():
         await world.use_cases.scans.append(TENANT, scan(15, 15.0))
 
 
+@pytest.mark.parametrize("gateways", [1, 3])
+async def test_several_gateways_together_store_no_more_than_a_tenant_may(gateways):
+    worlds = [memory_world(tenant_storage_bytes=30 * POINTS * POINT_BYTES)]
+    worlds += [worlds[0].another_gateway() for _ in range(gateways - 1)]
+    now_s = [0.0]
+    for world in worlds:
+        world.context.share.gateways = gateways
+        world.context.quota._now_s = lambda: now_s[0]
+    await open_session(worlds[0])
+    stored = 0
+    for number in range(60):
+        now_s[0] += storage_quota.QUOTA_RECOUNT_S
+        try:
+            await worlds[number % gateways].use_cases.posting.post(TENANT, submap(f"s{number}", number))
+        except QuotaReached:
+            continue
+        stored += 1
+    assert stored == 30
+
+
 async def test_without_a_setting_there_is_no_limit():
     world = memory_world()
     await posted(world, **{f"s{number}": number for number in range(5)})

@@ -222,9 +222,8 @@ class MemorySubmaps(MemoryRepository[SubmapRecord]):
 
     def placed(self, tenant: TenantId, map_id: str, after: int = 0) -> list[PlacedSubmap]:
         """See `SubmapRepository`."""
-        of_map = sorted(
-            self.find(tenant, after=after, map_id=map_id), key=lambda one: (one.session_number, one.ordinal)
-        )
+        later = [one for one in self.find(tenant, map_id=map_id) if one.seq > after]
+        of_map = sorted(later, key=lambda one: (one.session_number, one.ordinal))
         return [PlacedSubmap(one.number, one.session_number, one.ordinal, one.T_odom_submap) for one in of_map]
 
     def found(self, tenant: TenantId, numbers: Sequence[int]) -> dict[int, FoundSubmap]:
@@ -266,6 +265,13 @@ class MemorySubmaps(MemoryRepository[SubmapRecord]):
 
 class MemoryLoops(MemoryRepository[LoopRecord]):
     """`LoopRepository`."""
+
+    def accepted(
+        self, tenant: TenantId, map_id: str, *, after: int = 0, limit: int | None = None, **equals: Scalar
+    ) -> list[LoopRecord]:
+        """See `LoopRepository`."""
+        found = self.find(tenant, map_id=map_id, state=LoopState.ACCEPTED.value, **equals)
+        return sorted((loop for loop in found if loop.seq > after), key=lambda loop: loop.seq)[:limit]
 
     def telling(self, tenant: TenantId, query_numbers: Sequence[int], reasons: Sequence[str]) -> list[LoopRecord]:
         """See `LoopRepository`."""
@@ -399,16 +405,24 @@ class MemoryChangeLog:
 class MemoryEventLog:
     """`EventLog`."""
 
-    def __init__(self, rows: Rows, maps: MemoryMaps) -> None:
+    def __init__(self, rows: Rows, maps: MemoryMaps, loops: Rows) -> None:
         """`rows` in the order in which they came; what is no event any more has the kind FORGOTTEN."""
-        self._rows, self._maps = rows, maps
+        self._rows, self._maps, self._loops = rows, maps, loops
 
-    def record(self, event: EventRecord) -> None:
+    def record(self, event: EventRecord, *, accepts: bool = False) -> None:
         """See `EventLog`."""
         if self._maps.everything_has(event.tenant, event.map_id):
             self._rows.last += 1
             number = self._rows.next_of((event.tenant, event.map_id))
             self._rows.by_number[self._rows.last] = dataclasses.replace(event, number=number)
+            if accepts:
+                self._accept(event, number)
+
+    def _accept(self, event: EventRecord, number: int) -> None:
+        its = (event.tenant, event.map_id, event.subject)
+        for at, loop in self._loops.by_number.items():
+            if (loop.tenant, loop.map_id, loop.loop_id) == its:
+                self._loops.by_number[at] = dataclasses.replace(loop, seq=number)
 
     def following(self, tenant: TenantId, map_id: str, number: int, limit: int) -> list[EventRecord]:
         """See `EventLog`."""

@@ -71,7 +71,7 @@ class MemoryUnitOfWork:
             return MemoryRepository(tables[name], ("map_id", *key), listener, doomed)
 
         self.maps = MemoryMaps(tables["maps"], ("map_id",), None, doomed)
-        self.events = MemoryEventLog(tables["events"], self.maps)
+        self.events = MemoryEventLog(tables["events"], self.maps, tables["loops"])
         self.robots: MemoryRepository[RobotRecord] = MemoryRepository(tables["robots"], ("robot_id",))
         self.sessions: MemoryRepository[SessionRecord] = of_map("sessions", "session_id")
         self.scans = MemoryScans(tables["scans"], ("map_id", "session_id", "seq"), None, doomed)
