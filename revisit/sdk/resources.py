@@ -317,7 +317,7 @@ class LoopClosure(Resource):
     name: str = ""
     """maps/{map}/loopClosures/{loop_closure}"""
     number: int = 0
-    """Grows with every closure of the service: orders them and resumes a watch."""
+    """The number of the map's event that accepted it last; 0 where it never was accepted. Resumes a watch."""
     query: str = ""
     """The submap that asked."""
     match: str = ""

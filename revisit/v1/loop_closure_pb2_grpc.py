@@ -125,7 +125,8 @@ class LoopClosureServiceServicer:
         raise NotImplementedError('Method not implemented!')
 
     def WatchLoopClosures(self, request, context):
-        """The accepted loop closures of a map, also those to come, until the caller stops.
+        """The accepted loop closures of a map in the order in which they were accepted, also those to come, until the caller
+        stops. One that is rejected and accepted again is told again.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')

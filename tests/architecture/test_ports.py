@@ -22,7 +22,7 @@ LARGER = {
     "SubmapRepository": 23,  # nine reads that are no list of rows, each of one or two features
     "JobRepository": 17,
     "ScanRepository": 17,
-    "LoopRepository": 16,
+    "LoopRepository": 17,
     "WebhookRepository": 17,
     "AwaitedJobs": 15,
     "JobQueue": 13,  # four smaller ports by their user: worker, supervisor, progress, drives in turn

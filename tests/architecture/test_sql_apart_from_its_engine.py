@@ -84,6 +84,7 @@ CALLS = {
     "SqlSubmaps.flag_counts": lambda uow: uow.submaps.flag_counts(TENANT, "town", "monday"),
     "SqlSubmaps.found": lambda uow: uow.submaps.found(TENANT, [1]),
     "SqlSubmaps.path": lambda uow: [uow.submaps.path(TENANT, "town", "monday", 0, 5, back=back) for back in (0, 1)],
+    "SqlLoops.accepted": lambda uow: uow.loops.accepted(TENANT, "town", after=1, limit=5, graph_state=None),
     "SqlLoops.telling": lambda uow: uow.loops.telling(TENANT, [1, 2], ["AMBIGUOUS"]),
     "SqlLoops.reasons": lambda uow: uow.loops.reasons(TENANT, [1, 2]),
     "SqlSubmaps.standings": lambda uow: [uow.submaps.standings(TENANT, "town", one) for one in (None, "monday")],
