@@ -2,43 +2,80 @@
 
 from __future__ import annotations
 
+import asyncio
 import threading
 import time
 import uuid
-from dataclasses import replace
+from collections.abc import Awaitable, Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
 from functools import partial
+from typing import Any
 
-from revisit.service.domain.identity import TenantId
-from revisit.service.domain.records import JobRecord, MapRecord, ScanRecord, SessionRecord
+import numpy as np
+from sqlalchemy import Engine, event
+
+from revisit.core.scan import CloudReport, Scan
+from revisit.service.capacity.backlog import Backlog, JobPosting
+from revisit.service.capacity.in_flight import InFlight
+from revisit.service.domain.identity import SessionKey, TenantId
+from revisit.service.domain.policy import Policy
+from revisit.service.domain.records import JobRecord, MapRecord, SessionRecord
 from revisit.service.engines.local.clock import SystemClock
 from revisit.service.engines.postgres.connections import server_url
 from revisit.service.engines.postgres.transactions import PostgresTransactions
+from revisit.service.features.ingest.appending import AcceptedScan, Appending, ScanStream
+from revisit.service.features.operations.claiming import JobClaims
+from revisit.service.ports.blobs import NoOutage
+from revisit.service.ports.disk import UnlimitedDisk
+from revisit.service.ports.storage import Storage, require_session
 from revisit.service.ports.transactions import UnitOfWork
 
-POSE = (1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0)
 MAPS = 50
-SCANS_A_JOB = 5
-"""Scans of which one completes a window: its transaction also queues a job, which is an event of its map."""
+STEP_M = 1.0
+"""Between two scans: of the default windows each fifth scan completes one, which is a submap, a job and an event."""
 
+POINTS = np.zeros((1, 3), dtype=np.float32)
 TENANTS = tuple(TenantId(f"fleet-{number}") for number in range(3))
 
 
-def acknowledge(url: str, gateway: int, robots: int, seconds: float) -> int:
-    """Commit scans of so many robots at once, each the next one when the last is committed; how many."""
+@dataclass(frozen=True)
+class Figures:
+    """Calls that ended in time; CPU seconds of this process, and its statements, meanwhile."""
+
+    calls: int
+    cpu_s: float
+    statements: int
+
+
+def acknowledge(url: str, gateway: int, robots: int, seconds: float, *, together: bool = True) -> Figures:
+    """Commit scans of so many robots at once, each the next one when the last is committed.
+
+    `together`: as the service does it; else each scan is read for and written by itself.
+    """
     store = _opened(url)
-    names = [f"{gateway}-{uuid.uuid4().hex}" for _ in range(robots)]
-    for robot, name in enumerate(names):
-        store.write(partial(_make_session, map_id=f"map-{robot % MAPS}", name=name)).result()
-    return _until_over(
-        store, [partial(_drive, store, f"map-{n % MAPS}", name) for n, name in enumerate(names)], seconds
-    )
+    storage, clock = Storage(store, None), SystemClock()  # type: ignore[arg-type]  # no blob is stored
+    policy = Policy(max_queued_jobs=10**9)
+    jobs = JobPosting(Backlog(storage, InFlight(), policy.max_queued_jobs), clock, policy)
+    appending = Appending(storage, jobs, policy, clock)
+    of_robots = [_begun(store, gateway, robot) for robot in range(robots)]
+    append = appending.append if together else partial(_by_itself, appending, storage)
+    figures = asyncio.run(_driven([partial(_drive, append, one) for one in of_robots], seconds))
+    store.close()
+    return figures
 
 
-def work_off(url: str, host: int, clients: int, seconds: float) -> int:
-    """Claim and complete jobs, so many clients with connections of their own; how many were completed."""
+def work_off(url: str, host: int, clients: int, seconds: float) -> Figures:
+    """Claim and complete jobs, so many clients with connections of their own."""
     stores = [_opened(url) for _ in range(clients)]
     runs = [partial(_work, store, f"worker-{host}-{number}") for number, store in enumerate(stores)]
-    return _until_over(stores[0], runs, seconds, *stores[1:])
+    with _counted() as statements:
+        began_s = time.process_time()
+        calls = _until_over(runs, seconds)
+        figures = Figures(calls, time.process_time() - began_s, statements[0])
+    for store in stores:
+        store.close()
+    return figures
 
 
 def queue_jobs(url: str, jobs: int) -> None:
@@ -53,9 +90,63 @@ def _opened(url: str) -> PostgresTransactions:
     return PostgresTransactions(server_url(url), clock=SystemClock(), lease_ms=60_000)
 
 
-def _until_over(
-    store: PostgresTransactions, runs: list[partial[None]], seconds: float, *more: PostgresTransactions
-) -> int:
+@contextmanager
+def _counted() -> Iterator[list[int]]:
+    """How many statements the block sends, commits among them."""
+    count = [0]
+
+    def note(*_: Any) -> None:
+        count[0] += 1
+
+    for moment in ("before_cursor_execute", "commit"):
+        event.listen(Engine, moment, note)
+    try:
+        yield count
+    finally:
+        for moment in ("before_cursor_execute", "commit"):
+            event.remove(Engine, moment, note)
+
+
+async def _driven(drives: list[Callable[[float], Awaitable[int]]], seconds: float) -> Figures:
+    with _counted() as statements:
+        began_s = time.process_time()
+        calls = await asyncio.gather(*(drive(time.monotonic() + seconds) for drive in drives))
+        return Figures(sum(calls), time.process_time() - began_s, statements[0])
+
+
+async def _drive(append: Callable[..., Awaitable[Any]], session: SessionRecord, until_s: float) -> int:
+    stream, seq = ScanStream.of(session.number), 0
+    key = SessionKey(session.map_id, session.session_id)
+    while time.monotonic() < until_s:
+        seq += 1
+        T_odom_sensor = np.eye(4)
+        T_odom_sensor[0, 3] = STEP_M * seq
+        scan = Scan(POINTS, T_odom_sensor, seq, CloudReport(0, degenerate_plane=False))
+        sha256 = uuid.uuid4().hex * 2
+        await append(AcceptedScan(session.tenant, key, session.number, stream, seq, scan, sha256), put=lambda: None)
+        stream = stream.begun()
+    return seq
+
+
+async def _by_itself(appending: Appending, storage: Storage, accepted: AcceptedScan, put: Callable[[], object]) -> None:
+    await storage.read(partial(require_session, tenant=accepted.tenant, key=accepted.session))
+    await storage.write_naming(partial(appending.insert, accepted=accepted), put)
+
+
+def _begun(store: PostgresTransactions, gateway: int, robot: int) -> SessionRecord:
+    name = f"{gateway}-{uuid.uuid4().hex}"
+    return store.write(partial(_make_session, map_id=f"map-{robot % MAPS}", name=name)).result()
+
+
+def _make_session(uow: UnitOfWork, map_id: str, name: str) -> SessionRecord:
+    tenant = TENANTS[0]
+    if uow.maps.get(tenant, map_id) is None:
+        uow.maps.add(MapRecord(tenant, map_id, "hash", map_id, None, None, None, None, 1))
+    session = SessionRecord(tenant, map_id, name, "hash", None, "ACTIVE", 0, 0, 0.0, 0.0, 1, None, 1, None)
+    return uow.sessions.add(session)
+
+
+def _until_over(runs: list[partial[None]], seconds: float) -> int:
     """Call each of `runs` again and again, in a thread of its own, for so long; how many calls ended in time."""
     over, done = time.monotonic() + seconds, [0] * len(runs)
 
@@ -69,35 +160,11 @@ def _until_over(
         thread.start()
     for thread in threads:
         thread.join()
-    for opened in (store, *more):
-        opened.close()
     return sum(done)
 
 
-def _make_session(uow: UnitOfWork, map_id: str, name: str) -> None:
-    tenant = TENANTS[0]
-    if uow.maps.get(tenant, map_id) is None:
-        uow.maps.add(MapRecord(tenant, map_id, "hash", map_id, None, 5.0, None, None, 1))
-    uow.sessions.add(SessionRecord(tenant, map_id, name, "hash", None, "ACTIVE", 0, 0, 0.0, 0.0, 1, None, 1, None))
-
-
-def _drive(store: PostgresTransactions, map_id: str, name: str) -> None:
-    store.write(partial(_append, map_id=map_id, name=name)).result()
-
-
-def _append(uow: UnitOfWork, map_id: str, name: str) -> None:
-    session = uow.sessions.get(TENANTS[0], map_id, name, hold=True)
-    assert session is not None
-    seq = session.committed_seq + 1
-    uow.scans.get(session.tenant, map_id, name, session.committed_seq)
-    uow.scans.add(ScanRecord(session.tenant, map_id, name, seq, seq, POSE, float(seq), 300, "c" * 64))
-    uow.sessions.replace(replace(session, committed_seq=seq))
-    if seq % SCANS_A_JOB == 0:
-        uow.queue.enqueue(_job(session.tenant, f"maps/{map_id}"))
-
-
 def _work(store: PostgresTransactions, owner: str) -> None:
-    lease = store.write(lambda uow: uow.queue.claim(owner), durable=False).result()
+    lease = JobClaims(store, UnlimitedDisk(), NoOutage(), owner).next()
     if lease is not None:
         store.write(lambda uow: uow.queue.complete(lease, {})).result()
 

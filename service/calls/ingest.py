@@ -5,7 +5,7 @@ from __future__ import annotations
 from revisit.service.calls.catalogue import submap_fields
 from revisit.service.calls.operations import operation_fields
 from revisit.service.domain.identity import SubmapKey, TenantId
-from revisit.service.features.ingest.calls import ScanAck
+from revisit.service.features.ingest.appending import ScanAck
 from revisit.service.features.ingest.posting import PostedSubmap, PostSubmap
 from revisit.service.use_cases import UseCases
 from revisit.service.wire import names, requests

@@ -97,7 +97,7 @@ class SessionDetails:
 class SessionRecord:
     """A session, its details, and where its current window of scans stands (see `ingest.scans`).
 
-    `stream`: the stream that stored the last scan, if one did (see `ingest.calls.ScanStream`).
+    `stream`: the stream that stored the last scan, if one did (see `ingest.appending.ScanStream`).
     """
 
     tenant: TenantId

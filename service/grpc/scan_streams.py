@@ -13,7 +13,8 @@ from revisit.service.calls.loops import loop_fields
 from revisit.service.domain.callers import current_tenant
 from revisit.service.domain.errors import Draining, NotFound, StreamFenced
 from revisit.service.domain.identity import SessionKey, TenantId
-from revisit.service.features.ingest.calls import OpenedStream, ResumePoint, ScanAck, ScanStream
+from revisit.service.features.ingest.appending import ScanAck, ScanStream
+from revisit.service.features.ingest.calls import OpenedStream, ResumePoint
 from revisit.service.status import STATUS, retry_after_s
 from revisit.service.use_cases import UseCases
 from revisit.service.wire import names

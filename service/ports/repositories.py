@@ -29,8 +29,10 @@ class RowReader(Protocol[R]):
         """Records with fields equal to `equals` and a number above `after`, by number, at most `limit`."""
         ...
 
-    def numbered(self, tenant: TenantId, numbers: Sequence[int]) -> dict[int, R]:
-        """The records of this tenant with these numbers (at most 1000), by number; missing ones are left out."""
+    def numbered(self, tenant: TenantId, numbers: Sequence[int], *, hold: bool = False) -> dict[int, R]:
+        """The records of this tenant with these numbers (at most 1000), by number; missing ones are left out. `hold` as
+        in `get`, one after the other.
+        """
         ...
 
     def distinct(self, tenant: TenantId, field: str, **equals: str | int | None) -> set[Any]:
@@ -55,6 +57,10 @@ class RowWriter(Protocol[R]):
 
     def replace(self, record: R) -> None:
         """Overwrite the record of this number. Raises NotFound where there is none."""
+        ...
+
+    def replace_all(self, records: Sequence[R]) -> None:
+        """As `replace`, for many records in one statement, of a kind whose changes are no events."""
         ...
 
     def revise(self, records: Sequence[R], **fields: str | int | None) -> None:

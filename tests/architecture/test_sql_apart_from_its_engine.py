@@ -69,6 +69,7 @@ CALLS = {
     "SqlRepository.count_of_all_tenants": lambda uow: uow.jobs.count_of_all_tenants(state="QUEUED"),
     "SqlRepository.of_all_tenants": lambda uow: uow.maps.of_all_tenants(limit=5),
     "SqlRepository.replace": lambda uow: uow.maps.replace(uow.maps.get(TENANT, "town")),
+    "SqlRepository.replace_all": lambda uow: uow.maps.replace_all(uow.maps.find(TENANT)),
     "SqlRepository.add_all": lambda uow: uow.maps.add_all([a_map("city")]),
     "SqlRepository.revise": lambda uow: uow.maps.revise(uow.maps.find(TENANT), display_name=""),
     "SqlRepository.some": lambda uow: uow.everything.scans.some(TENANT, 5, map_id="town"),

@@ -312,7 +312,7 @@ SABOTAGES = (
     Sabotage(
         "a gap in a stream is taken",
         {
-            f"{SERVICE}features.ingest.calls:_is_replay": partial(
+            f"{SERVICE}features.ingest.appending:is_replay": partial(
                 _suppressing, error="SequenceGap", otherwise=lambda _session, _seq: False
             )
         },

@@ -26,7 +26,7 @@ from revisit.service.features.catalogue.downloads import DownloadKind
 from revisit.service.features.catalogue.maps import CreateMap
 from revisit.service.features.catalogue.sessions import CreateSession
 from revisit.service.features.index.answers import SearchCriteria
-from revisit.service.features.ingest.calls import ScanStream
+from revisit.service.features.ingest.appending import ScanStream
 from revisit.service.features.resources.paging import PageRequest
 from revisit.service.features.search.calls import LocalizeQuery
 from revisit.service.features.upkeep import sweeping

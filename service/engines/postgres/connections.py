@@ -51,9 +51,12 @@ def server_url(text: str) -> URL:
 
 
 def writer_engine(url: URL) -> Engine:
-    """An engine of one connection, whose transactions see what is committed before each statement."""
+    """An engine of one connection, whose transactions see what is committed before each statement.
+
+    Each begins with a savepoint, `member`.
+    """
     engine = _engine(url, pool_size=1, max_overflow=0)
-    _begin_with(engine, f"BEGIN; SET LOCAL lock_timeout = {LOCK_MS}", IDLE_S)
+    _begin_with(engine, f"BEGIN; SET LOCAL lock_timeout = {LOCK_MS}", IDLE_S, then="SAVEPOINT member")
     return engine
 
 
@@ -76,7 +79,7 @@ def _engine(url: URL, *, pool_size: int, max_overflow: int) -> Engine:
     )
 
 
-def _begin_with(engine: Engine, begin: str, idle_s: int) -> None:
+def _begin_with(engine: Engine, begin: str, idle_s: int, *, then: str = "") -> None:
     """All limits are those of the transaction, so that a pooler between may hand on the session."""
 
     @event.listens_for(engine, "begin")
@@ -84,4 +87,4 @@ def _begin_with(engine: Engine, begin: str, idle_s: int) -> None:
         limits = f"SET LOCAL idle_in_transaction_session_timeout = '{idle_s}s'"
         if (connection.dialect.server_version_info or OLDEST) >= TRANSACTION_TIMEOUT_FROM:
             limits += f"; SET LOCAL transaction_timeout = '{TRANSACTION_S}s'"
-        connection.exec_driver_sql(f"{begin}; {limits}")
+        connection.exec_driver_sql(f"{begin}; {limits}; {then}")

@@ -126,8 +126,9 @@ class PostgresSavepoints(Savepoints):
     group_s = GROUP_S
 
     def begin(self, connection: Connection, *, first: bool) -> None:
-        """See `Savepoints`; also the end of the member before."""
-        connection.exec_driver_sql("SAVEPOINT member" if first else NEXT_MEMBER)
+        """See `Savepoints`; also the end of the member before. The first one's savepoint came with the transaction."""
+        if not first:
+            connection.exec_driver_sql(NEXT_MEMBER)
 
     def end(self, connection: Connection) -> None:
         """See `Savepoints`: left to the next member, or to the commit."""

@@ -37,10 +37,10 @@ class SqlBlobRows:
 
     def refer(self, tenant: TenantId, blobs: Collection[Blob]) -> None:
         """See `BlobReferences`."""
-        for kind, sha256 in blobs:
-            found = self._connection.execute(_of_blob(), {"its_tenant": tenant, "its_kind": kind, "its_sha256": sha256})
-            if rows := found.all():
-                self._take(rows)
+        hashes = sorted({sha256 for _, sha256 in blobs})
+        found = self._connection.execute(_of_hashes(), {"its_tenant": tenant, "hashes": hashes}) if hashes else ()
+        if rows := [row for row in found if (row.kind, row.sha256) in set(blobs)]:
+            self._take(rows)
 
     def put_again(self, gone: Collection[int]) -> None:
         """See `BlobReferences`."""
@@ -104,10 +104,10 @@ _KINDS = frozenset({*(kind for kind, _ in REFERENCES), *NAMED_BY_NO_ROW})
 
 
 @cache
-def _of_blob() -> Select[Any]:
-    """The rows of a blob, which nobody else changes before this transaction ends."""
-    its = and_(_rows.tenant == bindparam("its_tenant"), _rows.sha256 == bindparam("its_sha256"))
-    rows = select(_rows.number, _rows.state).where(its, _rows.kind == bindparam("its_kind"))
+def _of_hashes() -> Select[Any]:
+    """The rows of blobs with these `hashes`, which nobody else changes before this transaction ends."""
+    its = and_(_rows.tenant == bindparam("its_tenant"), _rows.sha256.in_(bindparam("hashes", expanding=True)))
+    rows = select(_rows.number, _rows.state, _rows.kind, _rows.sha256).where(its).order_by(_rows.number)
     return rows.with_for_update()
 
 

@@ -124,11 +124,10 @@ class SqlRepository(Generic[R]):
         """See `Repository`."""
         return self._found(of_tenant(tenant, equals), after, limit)
 
-    def numbered(self, tenant: TenantId, numbers: Sequence[int]) -> dict[int, R]:
+    def numbered(self, tenant: TenantId, numbers: Sequence[int], *, hold: bool = False) -> dict[int, R]:
         """See `Repository`."""
-        rows = self._connection.execute(
-            _numbered(self._table, self._sees_all), {"numbers": numbers, "its_tenant": tenant}
-        )
+        query = _numbered(self._table, self._sees_all, hold=hold)
+        rows = self._connection.execute(query, {"numbers": numbers, "its_tenant": tenant})
         return {row.number: self._of(row) for row in rows}
 
     def distinct(self, tenant: TenantId, field: str, **equals: Scalar) -> set[Any]:
@@ -159,6 +158,14 @@ class SqlRepository(Generic[R]):
             raise NotFound
         if self._on_change is not None:
             self._on_change(before, record)
+
+    def replace_all(self, records: Sequence[R]) -> None:
+        """See `Repository`."""
+        rows = [column_values(record) for record in records]
+        for row in rows:
+            row["its_number"], row["its_tenant"] = row.pop("number"), row.pop("tenant")
+        if rows and self._connection.execute(changed_row(self._table), rows).rowcount != len(rows):
+            raise NotFound
 
     def revise(self, records: Sequence[R], **fields: Scalar) -> None:
         """See `Repository`."""
@@ -357,8 +364,9 @@ def _distinct_where(
 
 
 @cache
-def _numbered(table: Table, sees_all: bool) -> Select[Any]:
-    return select(table).where(_have_numbers(table), seen(table, sees_all))
+def _numbered(table: Table, sees_all: bool, *, hold: bool) -> Select[Any]:
+    rows = select(table).where(_have_numbers(table), seen(table, sees_all))
+    return rows.order_by(table.c.number).with_for_update(key_share=True) if hold else rows
 
 
 @cache

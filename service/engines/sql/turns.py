@@ -6,6 +6,7 @@ from functools import cache
 from typing import Any
 
 from sqlalchemy import (
+    BigInteger,
     Column,
     ColumnElement,
     Connection,
@@ -13,14 +14,15 @@ from sqlalchemy import (
     Update,
     bindparam,
     case,
+    cast,
     delete,
     func,
     insert,
     select,
+    union,
     update,
 )
 
-from revisit.service.domain.identity import TenantId
 from revisit.service.domain.records import TurnRecord
 from revisit.service.domain.states import OperationState
 from revisit.service.engines.sql import tables
@@ -38,9 +40,7 @@ class SqlTenantTurns:
 
     def waiting(self) -> list[TurnRecord]:
         """See `TenantTurns`."""
-        states = (OperationState.QUEUED, OperationState.RUNNING)
-        found = {row[0] for state in states for row in self._connection.execute(_at_work(), {"state": state.value})}
-        return [self._of(tenant) for tenant in sorted(found)]
+        return [TurnRecord(*row) for row in self._connection.execute(_waiting())]
 
     def latest_start_ms(self) -> int:
         """See `TenantTurns`."""
@@ -64,17 +64,23 @@ class SqlTenantTurns:
         """See `TenantTurns`."""
         self._connection.execute(delete(tables.worker_turns).where(_turns.worker_id == worker_id))
 
-    def _of(self, tenant: TenantId) -> TurnRecord:
-        """What a tenant has had of all workers."""
-        started_ms, ran_ms, lifted_ms = self._connection.execute(_sum(), {"tenant": tenant}).one()
-        return TurnRecord(tenant, started_ms or 0, ran_ms or 0, lifted_ms or 0)
-
 
 @cache
-def _at_work() -> Select[Any]:
-    """The tenants with a job of this `state`: from one to the next in the index, however many jobs each of them has."""
-    in_state = select(func.min(tables.jobs.c.tenant)).where(tables.jobs.c.state == bindparam("state"))
-    found = in_state.with_only_columns(func.min(tables.jobs.c.tenant).label("tenant")).cte("found", recursive=True)
+def _waiting() -> Select[Any]:
+    """The tenants with a job that waits or runs, and what each has had of all workers."""
+    tenants = union(_at_work(OperationState.QUEUED), _at_work(OperationState.RUNNING)).subquery()
+    ran_ms = cast(func.sum(_turns.ran_ms), BigInteger)
+    had = (func.coalesce(sum_, 0) for sum_ in (func.max(_turns.started_ms), ran_ms, func.max(_turns.lifted_ms)))
+    joined = tenants.outerjoin(tables.worker_turns, _turns.tenant == tenants.c.tenant)
+    of_tenant = select(tenants.c.tenant, *had).select_from(joined).group_by(tenants.c.tenant)
+    return of_tenant.order_by(tenants.c.tenant)
+
+
+def _at_work(state: OperationState) -> Select[Any]:
+    """The tenants with a job of this state: from one to the next in the index, however many jobs each of them has."""
+    in_state = select(func.min(tables.jobs.c.tenant)).where(tables.jobs.c.state == state.value)
+    first = in_state.with_only_columns(func.min(tables.jobs.c.tenant).label("tenant"))
+    found = first.cte(f"found_{state.value.lower()}", recursive=True)
     following = in_state.where(tables.jobs.c.tenant > found.c.tenant).scalar_subquery()
     found = found.union_all(select(following).where(found.c.tenant.is_not(None)))
     return select(found.c.tenant).where(found.c.tenant.is_not(None))
@@ -88,12 +94,6 @@ def _latest_start() -> Select[Any]:
 @cache
 def _rows() -> Select[Any]:
     return select(_turns.tenant, _turns.started_ms, _turns.ran_ms, _turns.lifted_ms)
-
-
-@cache
-def _sum() -> Select[Any]:
-    sums = (func.max(_turns.started_ms), func.sum(_turns.ran_ms), func.max(_turns.lifted_ms))
-    return select(*sums).where(_turns.tenant == bindparam("tenant"))
 
 
 @cache

@@ -92,9 +92,12 @@ class LoopDecisions:
     ) -> LoopClosureView:
         self._context.admission.require_running()
         change = Change(kind, self._context.clock.wall_ns(), current_actor(), validated_note(note))
-        return await self._context.storage.write(
+        decided = await self._context.storage.write(
             partial(self._change, tenant=tenant, map_id=map_id, loop_id=loop_id, change=change)
         )
+        # Its number came with the commit.
+        stored = await self._context.storage.read(lambda uow: uow.loops.numbered(tenant, [decided.number]))
+        return replace(decided, seq=stored.get(decided.number, decided).seq)
 
     def _change(self, uow: UnitOfWork, tenant: TenantId, map_id: str, loop_id: str, change: Change) -> LoopClosureView:
         require_map(uow, tenant, map_id, hold=True)

@@ -23,11 +23,13 @@ class JobClaims:
     def next(self) -> Lease | None:
         """The lease of the next job; None where no job waits, or its result could not be stored.
 
-        Reads before it writes, because a write holds up all other writers. Raises Unavailable.
+        Reads before it writes where a write holds up all other writers: where the store tells of commits. Raises
+        Unavailable.
         """
         if self._disk.exhausted() or self._blobs.unreachable():
             return None
-        if not self._transactions.read(lambda uow: uow.queue.waits()).result():
+        alone = self._transactions.version() is not None
+        if alone and not self._transactions.read(lambda uow: uow.queue.waits()).result():
             return None
         return self._transactions.write(self._claim, durable=False).result()
 

@@ -112,7 +112,7 @@ class MemoryRepository(Generic[R]):
         """See `Repository`."""
         return [row for row in self._matching(tenant, equals) if row.number > after][:limit]
 
-    def numbered(self, tenant: TenantId, numbers: Sequence[int]) -> dict[int, R]:
+    def numbered(self, tenant: TenantId, numbers: Sequence[int], *, hold: bool = False) -> dict[int, R]:
         """See `Repository`."""
         return {row.number: row for row in self._matching(tenant, {}) if row.number in set(numbers)}
 
@@ -143,6 +143,11 @@ class MemoryRepository(Generic[R]):
         self._rows.by_number[number] = record
         if self._on_change is not None:
             self._on_change(before, record)
+
+    def replace_all(self, records: Sequence[R]) -> None:
+        """See `Repository`."""
+        for record in records:
+            self.replace(record)
 
     def revise(self, records: Sequence[R], **fields: Scalar) -> None:
         """See `Repository`."""

@@ -11,7 +11,7 @@ from revisit.core.scan import CloudReport, Scan
 from revisit.core.submap import SubmapBuilder
 from revisit.service.domain.identity import TenantId
 from revisit.service.domain.records import SessionRecord
-from revisit.service.features.ingest.calls import advance
+from revisit.service.features.ingest.appending import advance
 from revisit.service.features.ingest.window_submaps import ScanRange, remainder
 
 NEW = SessionRecord(

@@ -23,7 +23,7 @@ from revisit.service.features.catalogue.sessions import SessionView
 from revisit.service.features.corrections.calls import CorrectionView
 from revisit.service.features.graph.map_frames import LoopInMap, MapPose
 from revisit.service.features.index.answers import Localization, LocalizedCandidate, SearchHit, SearchResult
-from revisit.service.features.ingest.calls import ScanAck
+from revisit.service.features.ingest.appending import ScanAck
 from revisit.service.features.ingest.posting import PostedSubmap
 from revisit.service.features.loops.calls import LoopClosureView
 from revisit.service.features.optimisation.calls import MapVersionView, SubmapPoseView
