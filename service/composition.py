@@ -11,7 +11,7 @@ import signal
 import socket
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import closing, contextmanager
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, cast
 
 import structlog
@@ -35,8 +35,7 @@ from revisit.service.engines.local.files.disk import Disk, FailStop
 from revisit.service.engines.local.files.file_drafts import FileDrafts
 from revisit.service.engines.local.files.index_files import IndexFiles
 from revisit.service.engines.local.files.secret_files import SECRET_BYTES, kept_secret
-from revisit.service.engines.local.sqlite.blob_rows import newest_clouds
-from revisit.service.engines.local.sqlite.connections import open_to_read, write_ahead_log
+from revisit.service.engines.local.sqlite.connections import write_ahead_log
 from revisit.service.engines.local.vector_index import SAVED_FROM, PlaceVectorIndex
 from revisit.service.engines.state import state_of
 from revisit.service.engines.stored_blobs import BlobStoreUnusable
@@ -147,20 +146,17 @@ def bucket(settings: Settings) -> S3BlobStore:
 def require_bucket(settings: Settings) -> None:
     """Try the bucket of `blob_url` out, where there is one. Raises BlobStoreUnusable, MissingLibrary.
 
-    It must hold the clouds that the newest rows of a data folder name: another bucket would make every submap a
-    damaged one.
+    It must hold one of the clouds that the newest rows name: another bucket would make every submap a damaged one.
     """
     if not settings.blob_url:
         return
     store = bucket(settings)
     if store.try_out():
         log.warning("bucket_keeps_versions", hint="a lifecycle rule must delete noncurrent versions")
-    if settings.database_url:
-        return
-    with closing(open_to_read(settings.database)) as rows:
-        newest = newest_clouds(rows, NEWEST_CLOUDS)
+    state = state_of(settings.home, settings.database_url)
+    newest = state.newest_clouds(NEWEST_CLOUDS)
     if newest and not any(store.exists(blob.tenant, blob.kind, blob.sha256) for blob in newest):
-        reason = f"it holds none of the {len(newest)} newest clouds of {settings.home}: is it the right one?"
+        reason = f"it holds none of the {len(newest)} newest clouds of {state.name}: is it the right one?"
         raise BlobStoreUnusable(settings.blob_url, reason, for_good=True)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import platform
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import asdict
 from importlib import metadata
 from pathlib import Path
@@ -20,7 +20,10 @@ from revisit.sdk.errors import ApiError
 
 if TYPE_CHECKING:
     from revisit.sdk.client import Client
-    from revisit.service.engines.local.sqlite.examination import Finding
+    from revisit.service.engines.findings import Finding
+    from revisit.service.engines.stored_blobs import Bucket
+
+FITS = "its schema fits"
 
 LIBRARIES = ("numpy", "faiss-cpu", "opencv-python-headless", "fastapi", "grpcio", "protobuf", "sqlalchemy")
 
@@ -30,13 +33,13 @@ def doctor(
     home: Home = None,
     http: Http = HTTP,
     grpc: Grpc = GRPC,
-    full: Annotated[bool, typer.Option("--full", help="Read every blob instead of 200 of them.")] = False,
+    full: Annotated[bool, typer.Option("--full", help="Read every row, and all blobs instead of 200.")] = False,
     json: Json = False,
 ) -> None:
     """Check versions, the models, the data folder and whether the service answers."""
     from revisit.sdk.client import Client
     from revisit.sdk.retry import RetryPolicy
-    from revisit.service.engines.local.sqlite.examination import Finding
+    from revisit.service.engines.findings import Finding
 
     once = RetryPolicy(attempts=1)
     findings = [
@@ -58,7 +61,7 @@ def doctor(
 
 
 def _library(name: str, optional: bool = False) -> Finding:
-    from revisit.service.engines.local.sqlite.examination import Finding
+    from revisit.service.engines.findings import Finding
 
     try:
         return Finding(name, True, metadata.version(name))
@@ -67,7 +70,7 @@ def _library(name: str, optional: bool = False) -> Finding:
 
 
 def _checked(check: str, examine: Callable[[], str]) -> Finding:
-    from revisit.service.engines.local.sqlite.examination import Finding
+    from revisit.service.engines.findings import Finding
 
     try:
         return Finding(check, True, examine())
@@ -82,13 +85,30 @@ def _models() -> str:
 
 
 def _data(home: Path | None, full: bool) -> list[Finding]:
-    from revisit.service.engines.local.sqlite.examination import examine, examine_bucket
+    from revisit.service.engines.local.sqlite.examination import examine
     from revisit.service.settings_loading import load_settings
 
     bucket = bucket_of(home)
     if load_settings(home).database_url:
-        return [_checked("database", lambda: _server(home)), *examine_bucket(bucket)]
+        return list(_shared_data(home, bucket, full))
     return examine(data_folder(home), full=full, bucket=bucket)
+
+
+def _shared_data(home: Path | None, bucket: Bucket | None, full: bool) -> Iterator[Finding]:
+    from revisit.service.engines.findings import examine_bucket
+    from revisit.service.engines.local.sqlite.examination import blob_reader, quarantine
+    from revisit.service.settings_loading import load_settings
+
+    settings = load_settings(home)
+    schema = _checked("database", lambda: _server(home))
+    findings = [schema, *examine_bucket(bucket)]
+    yield from findings
+    if all(finding.ok is not False for finding in findings) and FITS in schema.detail:
+        from revisit.service.engines.postgres.connections import server_url
+        from revisit.service.engines.postgres.examination import examine
+
+        yield from examine(server_url(settings.database_url), blob_reader(settings.home, bucket), full=full)
+    yield quarantine(settings.home, bucket)
 
 
 def _server(home: Path | None) -> str:
@@ -99,7 +119,7 @@ def _server(home: Path | None) -> str:
     settings = load_settings(home)
     try:
         state = state_of(settings.home, settings.database_url)
-        return f"{state.name}: {'its schema fits' if state.is_made() else 'empty yet'}"
+        return f"{state.name}: {FITS if state.is_made() else 'empty yet'}"
     except (ForeignSchema, UnusableServer) as error:
         raise ValueError(str(error)) from error
 

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager, nullcontext
+from contextlib import AbstractContextManager, closing, contextmanager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
 from revisit.service.engines.local.clock import SystemClock
 from revisit.service.engines.local.files.disk import FailStop
+from revisit.service.ports.blobs import StoredBlob
 from revisit.service.ports.transactions import Transactions
 
 if TYPE_CHECKING:
@@ -52,6 +53,10 @@ class State(Protocol):
 
     def writer(self) -> AbstractContextManager[Engine]:
         """An engine of one connection beside all transactions, for a move; closed at the end."""
+        ...
+
+    def newest_clouds(self, count: int) -> list[StoredBlob]:
+        """The clouds of the last scans and submaps, so many of each; none where there is no schema yet."""
         ...
 
 
@@ -125,6 +130,14 @@ class SqliteState:
 
         return _closed(writer_engine(self._database, checkpoints=True))
 
+    def newest_clouds(self, count: int) -> list[StoredBlob]:
+        """See `State`."""
+        from revisit.service.engines.local.sqlite.blob_rows import newest_clouds
+        from revisit.service.engines.local.sqlite.connections import open_to_read
+
+        with closing(open_to_read(self._database)) as rows:
+            return newest_clouds(rows, count)
+
 
 class PostgresState:
     """`State` in a PostgreSQL database, which any number of gateways and workers share."""
@@ -179,6 +192,12 @@ class PostgresState:
         from revisit.service.engines.postgres.connections import writer_engine
 
         return _closed(writer_engine(self._url))
+
+    def newest_clouds(self, count: int) -> list[StoredBlob]:
+        """See `State`."""
+        from revisit.service.engines.postgres.examination import newest_clouds
+
+        return newest_clouds(self._url, count)
 
 
 @contextmanager

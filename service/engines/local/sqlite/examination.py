@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import random
 import sqlite3
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 
-from revisit.core.errors import DataLoss, RevisitError
+from revisit.core.errors import DataLoss
+from revisit.service.engines.findings import Finding, examine_blobs, examine_bucket, examine_references, examine_rows
 from revisit.service.engines.local.files.blobs import FileBlobStore, blob_path, read_verified
 from revisit.service.engines.local.files.filesystem import MOUNTS, RemoteFileSystem, filesystem_type, require_local
 from revisit.service.engines.local.sqlite.blob_rows import named_blobs
@@ -17,25 +17,13 @@ from revisit.service.engines.local.sqlite.connections import DATABASE, open_to_r
 from revisit.service.engines.local.sqlite.migration import current_revision
 from revisit.service.engines.local.sqlite.row_checksums import damaged_rows
 from revisit.service.engines.schema import NEWEST_REVISION, known_revisions
-from revisit.service.engines.stored_blobs import QUARANTINE, BlobDamaged, BlobStoreUnusable, Bucket
+from revisit.service.engines.stored_blobs import QUARANTINE, BlobDamaged, Bucket
 from revisit.service.features.upkeep.calls import WAL_ALARM_BYTES
 from revisit.service.ports.blobs import StoredBlob
-
-SAMPLE = 200
-"""How many blobs a check reads that is not asked to read all."""
 
 FIXED_SQLITE = (3, 51, 3)
 BACKPORTS = ((3, 44, 6), (3, 50, 7))
 """The first SQLite versions in which two connections cannot damage the write-ahead log (the WAL-reset fault)."""
-
-
-@dataclass(frozen=True)
-class Finding:
-    """The result of one check. `ok` is None where the check does not apply."""
-
-    check: str
-    ok: bool | None
-    detail: str
 
 
 def examine(home: Path, *, full: bool, bucket: Bucket | None = None) -> list[Finding]:
@@ -52,11 +40,11 @@ def examine(home: Path, *, full: bool, bucket: Bucket | None = None) -> list[Fin
     try:
         with closing(open_to_read(database)) as rows:
             findings += [_schema(database), _pages(rows), _references(rows), _wal(database)]
-            findings += [_rows(rows)] if full else []
-            findings.append(_blobs(_reader(home, bucket), list(named_blobs(rows)), full=full))
+            findings += [examine_rows(list(damaged_rows(rows)))] if full else []
+            findings.append(examine_blobs(blob_reader(home, bucket), list(named_blobs(rows)), full=full))
     except (sqlite3.Error, UnicodeError) as error:  # SQLite's messages hold names, damaged or not
         findings.append(Finding("database", False, f"{database}: {error}"))
-    return [*findings, _quarantine(home, bucket)]
+    return [*findings, quarantine(home, bucket)]
 
 
 @dataclass(frozen=True)
@@ -94,22 +82,8 @@ def scrub(home: Path, bucket: Bucket | None = None) -> Scrubbed:
     return Scrubbed(len(blobs), tuple(damaged), tuple(missing), str(verdict), wrong)
 
 
-def examine_bucket(bucket: Bucket | None) -> Iterator[Finding]:
-    """Check the bucket of the blobs, where they lie in one: an object is stored, read, listed and deleted."""
-    if bucket is None:
-        return
-    try:
-        keeps_versions = bucket.try_out()
-    except BlobStoreUnusable as error:
-        yield Finding("bucket", False, str(error))
-        return
-    if keeps_versions:
-        detail = "kept: what is deleted stays until a lifecycle rule deletes noncurrent versions; is there one?"
-        yield Finding("versions of objects", None, detail)
-    yield Finding("bucket", True, f"{bucket.url} stores, gives back, lists and deletes")
-
-
-def _quarantine(home: Path, bucket: Bucket | None) -> Finding:
+def quarantine(home: Path, bucket: Bucket | None) -> Finding:
+    """Check that no damaged blob lies aside."""
     folder = home / "blobs"
     place = f"{bucket.url}/{QUARANTINE}" if bucket else str(folder / QUARANTINE)
     stores = [bucket] if bucket else [FileBlobStore(folder)] if folder.is_dir() else []
@@ -117,7 +91,8 @@ def _quarantine(home: Path, bucket: Bucket | None) -> Finding:
     return Finding("quarantine", aside == 0, f"{aside} damaged blobs lie in {place}" if aside else "empty")
 
 
-def _reader(home: Path, bucket: Bucket | None) -> Callable[[StoredBlob], bytes]:
+def blob_reader(home: Path, bucket: Bucket | None) -> Callable[[StoredBlob], bytes]:
+    """Reads blobs where they lie, and leaves damaged ones alone."""
     return bucket.read if bucket else lambda blob: read_verified(blob_path(home / "blobs", blob))
 
 
@@ -152,33 +127,12 @@ def _pages(rows: sqlite3.Connection) -> Finding:
     return Finding("database", verdict == "ok", f"integrity {verdict}")
 
 
-def _rows(rows: sqlite3.Connection) -> Finding:
-    wrong = list(damaged_rows(rows))
-    examples = f": {'; '.join(wrong[:3])}" if wrong else ""
-    return Finding("rows", not wrong, f"{len(wrong)} are not what was written{examples}")
-
-
 def _references(rows: sqlite3.Connection) -> Finding:
     broken = rows.execute("PRAGMA foreign_key_check").fetchall()
-    return Finding("references", not broken, f"{len(broken)} rows whose parent is gone")
+    return examine_references(len(broken))
 
 
 def _wal(database: Path) -> Finding:
     wal = write_ahead_log(database)
     size_bytes = wal.stat().st_size if wal.exists() else 0
     return Finding("WAL", size_bytes <= WAL_ALARM_BYTES, f"{size_bytes / 2**20:.1f} MiB")
-
-
-def _blobs(read: Callable[[StoredBlob], bytes], named: Sequence[StoredBlob], *, full: bool) -> Finding:
-    chosen = named if full else random.sample(named, min(SAMPLE, len(named)))
-    bad = [problem for blob in chosen if (problem := _problem(read, blob))]
-    examples = f": {'; '.join(bad[:3])}" if bad else ""
-    return Finding("blobs", not bad, f"{len(chosen)} of {len(named)} read, {len(bad)} missing or damaged{examples}")
-
-
-def _problem(read: Callable[[StoredBlob], bytes], blob: StoredBlob) -> str:
-    try:
-        read(blob)
-    except RevisitError as error:
-        return error.message
-    return ""
