@@ -60,7 +60,7 @@ def acknowledge(url: str, gateway: int, robots: int, seconds: float, *, together
     appending = Appending(storage, jobs, policy, clock)
     of_robots = [_begun(store, gateway, robot) for robot in range(robots)]
     append = appending.append if together else partial(_by_itself, appending, storage)
-    figures = asyncio.run(_driven([partial(_drive, append, one) for one in of_robots], seconds))
+    figures = asyncio.run(_driven([_Robot(append, one) for one in of_robots], seconds))
     store.close()
     return figures
 
@@ -107,25 +107,41 @@ def _counted() -> Iterator[list[int]]:
             event.remove(Engine, moment, note)
 
 
-async def _driven(drives: list[Callable[[float], Awaitable[int]]], seconds: float) -> Figures:
+async def _driven(robots: list[_Robot], seconds: float) -> Figures:
+    """The figures of all but the first scans, with which a gateway learns where its sessions stand."""
+    for _ in range(2):
+        await asyncio.gather(*(robot.send() for robot in robots))
     with _counted() as statements:
         began_s = time.process_time()
-        calls = await asyncio.gather(*(drive(time.monotonic() + seconds) for drive in drives))
+        calls = await asyncio.gather(*(robot.drive(time.monotonic() + seconds) for robot in robots))
         return Figures(sum(calls), time.process_time() - began_s, statements[0])
 
 
-async def _drive(append: Callable[..., Awaitable[Any]], session: SessionRecord, until_s: float) -> int:
-    stream, seq = ScanStream.of(session.number), 0
-    key = SessionKey(session.map_id, session.session_id)
-    while time.monotonic() < until_s:
-        seq += 1
+class _Robot:
+    """Sends each scan once the one before is committed."""
+
+    def __init__(self, append: Callable[..., Awaitable[Any]], session: SessionRecord) -> None:
+        self._append, self._session = append, session
+        self._stream, self._seq = ScanStream.of(session.number), 0
+
+    async def drive(self, until_s: float) -> int:
+        """How many scans it has sent until then."""
+        before = self._seq
+        while time.monotonic() < until_s:
+            await self.send()
+        return self._seq - before
+
+    async def send(self) -> None:
+        """Send the next scan."""
+        self._seq += 1
         T_odom_sensor = np.eye(4)
-        T_odom_sensor[0, 3] = STEP_M * seq
-        scan = Scan(POINTS, T_odom_sensor, seq, CloudReport(0, degenerate_plane=False))
-        sha256 = uuid.uuid4().hex * 2
-        await append(AcceptedScan(session.tenant, key, session.number, stream, seq, scan, sha256), put=lambda: None)
-        stream = stream.begun()
-    return seq
+        T_odom_sensor[0, 3] = STEP_M * self._seq
+        scan = Scan(POINTS, T_odom_sensor, self._seq, CloudReport(0, degenerate_plane=False))
+        session, sha256 = self._session, uuid.uuid4().hex * 2
+        key = SessionKey(session.map_id, session.session_id)
+        accepted = AcceptedScan(session.tenant, key, session.number, self._stream, self._seq, scan, sha256)
+        await self._append(accepted, put=lambda: None)
+        self._stream = self._stream.begun()
 
 
 async def _by_itself(appending: Appending, storage: Storage, accepted: AcceptedScan, put: Callable[[], object]) -> None:
