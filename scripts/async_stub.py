@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import ast
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -18,11 +18,14 @@ OF_CLIENT = ("delete", "status", "explain", "holds_scan")
 
 WATCHES = {"watch": "Event", "watch_corrections": "Correction"}
 
+CONTEXTS = {"stream": "AwaitedStream", "relocalise": "AwaitedConversation"}
+"""Calls of `Client` itself that are contexts, and what each of them holds."""
+
 OWN = """\
 from collections.abc import AsyncIterator
 from contextlib import AbstractAsyncContextManager
 from typing import Self
-from revisit.sdk.resources import Correction, Event
+from revisit.sdk.resources import Correction, Event, Relocalisation
 from revisit.sdk.transport import OnDelay, Refusal
 """
 """Names that no module of a group imports."""
@@ -34,6 +37,7 @@ def stub() -> str:
     client = ast.parse((SDK / "client.py").read_text())
     classes = [_group(one) for tree in groups for one in tree.body if isinstance(one, ast.ClassDef)]
     body = "\n\n".join([*classes, _client(_class(client, "Client")), _stream(_class(client, "ScanStream"))])
+    body += "\n\n" + _held(_class(ast.parse((SDK / "conversations.py").read_text()), "Conversation"))
     imports = (line for tree in (*groups, client, ast.parse(OWN)) for line in _imports(tree))
     used = sorted({line for name, line in imports if re.search(rf"\b{name}\b", body)})
     return "\n".join([HEAD, *used, "", body, ""])
@@ -69,10 +73,13 @@ def _client(of: ast.ClassDef) -> str:
     parts += [_signature(functions[name], awaited=True) for name in OF_CLIENT]
     watches = [(functions[name], f"AsyncIterator[{item}]") for name, item in WATCHES.items()]
     parts += [_signature(watch, awaited=False, returns=items) for watch, items in watches]
-    stream = _signature(functions["stream"], awaited=False, returns="AbstractAsyncContextManager[AwaitedStream]")
+    contexts = [
+        _signature(functions[name], awaited=False, returns=f"AbstractAsyncContextManager[{held}]")
+        for name, held in CONTEXTS.items()
+    ]
     ends = ["    async def close(self) -> None: ...", "    async def __aenter__(self) -> Self: ..."]
     ends.append("    async def __aexit__(self, *_: object) -> None: ...")
-    return "\n".join(["class AsyncClient:", *parts, stream, *ends])
+    return "\n".join(["class AsyncClient:", *parts, *contexts, *ends])
 
 
 def _groups(of: ast.ClassDef) -> dict[str, str]:
@@ -82,10 +89,19 @@ def _groups(of: ast.ClassDef) -> dict[str, str]:
 
 
 def _stream(of: ast.ClassDef) -> str:
+    return _awaited(of, "AwaitedStream", ("send", "flush"))
+
+
+def _held(of: ast.ClassDef) -> str:
+    return _awaited(of, "AwaitedConversation", ("see",))
+
+
+def _awaited(of: ast.ClassDef, name: str, calls: Sequence[str]) -> str:
+    """A class under another name: `calls` are awaited, properties are as they are."""
     functions = _functions(of)
-    awaited = [_signature(functions[name], awaited=True) for name in ("send", "flush")]
+    awaited = [_signature(functions[call], awaited=True) for call in calls]
     said = [one for one in functions.values() if any(ast.unparse(mark) == "property" for mark in one.decorator_list)]
-    return "\n".join(["class AwaitedStream:", *awaited, *(_signature(one, awaited=False) for one in said)])
+    return "\n".join([f"class {name}:", *awaited, *(_signature(one, awaited=False) for one in said)])
 
 
 def _signature(of: ast.FunctionDef, *, awaited: bool, returns: str | None = None) -> str:

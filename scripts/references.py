@@ -177,7 +177,8 @@ def interfaces() -> str:
 
 
 CALLS_OF_CLIENT = (
-    "stream", "spooled_stream", "holds_scan", "watch", "watch_corrections", "explain", "delete", "status", "call",
+    "stream", "spooled_stream", "relocalise", "holds_scan", "watch", "watch_corrections", "explain", "delete", "status",
+    "call",
 )  # fmt: skip
 """Methods of `Client` that are in no group."""
 

@@ -33,20 +33,27 @@ MADE = (
     robot_pb2.Robot, session_pb2.OdometryFault, session_pb2.Finding, session_pb2.NoLoops, session_pb2.Session,
     operation_pb2.Failure, submap_pb2.Submap, loop_closure_pb2.SearchHit, loop_closure_pb2.LocalizedCandidate,
     loop_closure_pb2.LocalizeResponse,
+    loop_closure_pb2.RelocalisedPose, loop_closure_pb2.RelocaliseDrive, loop_closure_pb2.RelocaliseAnswer,
     loop_closure_pb2.LoopClosure, loop_closure_pb2.LoopClosureEvent, mapping_pb2.MapChange, mapping_pb2.MapMerge,
     mapping_pb2.RefusedJoin, mapping_pb2.MapVersionSummary, mapping_pb2.MapVersion, mapping_pb2.SubmapPose,
     mapping_pb2.Correction, map_file_pb2.MapFile, event_pb2.Event, webhook_pb2.WebhookDelivery,
 )  # fmt: skip
 """Messages that become resources field by field. All others are written by hand in `revisit.sdk.own_resources`."""
 
-NAMES = {"LocalizedCandidate": "Candidate", "LocalizeResponse": "Localization", "place_descriptor": "descriptor"}
+NAMES = {
+    "LocalizedCandidate": "Candidate",
+    "LocalizeResponse": "Localization",
+    "RelocaliseAnswer": "Relocalisation",
+    "RelocaliseDrive": "TellingDrive",
+    "place_descriptor": "descriptor",
+}
 """Messages and fields with another name in the SDK."""
 
 NONE = {
     "Session.robot", "Session.storey", "Submap.model_version", "LocalizedCandidate.reason", "LocalizeResponse.session",
     "LoopClosure.reason", "LoopClosure.graph_state", "LoopClosureEvent.reason", "LoopClosureEvent.graph_state",
     "LoopClosureEvent.map_version", "MapVersion.restored_from", "MapVersion.operation", "WebhookDelivery.status",
-    "WebhookDelivery.error",
+    "WebhookDelivery.error", "RelocalisedPose.session", "RelocaliseAnswer.reason",
 }  # fmt: skip
 """Fields that are never absent, and None where they are empty, zero or unspecified."""
 
@@ -109,7 +116,7 @@ def _resource(of: Descriptor) -> str:
 def _pose_in_map(of: Descriptor) -> str:
     """The transform that with its frame and version is `in_map`; "" where there is none."""
     names = {one.name for one in of.fields}
-    placed = sorted(names & {"t_map_submap", "t_map_query"})
+    placed = sorted(names & {"t_map_submap", "t_map_query", "t_map_sensor"})
     return placed[0] if placed and names >= _PLACED else ""
 
 

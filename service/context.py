@@ -31,6 +31,7 @@ from revisit.service.features.publishing.job import MapFiling
 from revisit.service.features.recognition.job import SubmapDescriptionJob
 from revisit.service.features.recognition.loop_recall_job import LoopRecallJob
 from revisit.service.features.recognition.proposed_loop_job import ProposedLoopJob
+from revisit.service.features.relocalisation.job import RelocalisationJob
 from revisit.service.features.retention.run import Retention
 from revisit.service.features.search.job import CloudQueryJob
 from revisit.service.features.tiles.job import TileMaking
@@ -123,6 +124,7 @@ class ServiceContext:
             OperationKind.DESCRIBE_SUBMAP: SubmapDescriptionJob(context, self.memory, recogniser, early).run,
             OperationKind.SEARCH_CLOUD: queries.search,
             OperationKind.LOCALIZE: queries.localise,
+            OperationKind.RELOCALISE: RelocalisationJob(context, self.memory, recogniser).run,
             OperationKind.OPTIMISE_MAP: MapOptimisation(context, optimiser, merger, recogniser, early).run,
             OperationKind.VERIFY_LOOP: ProposedLoopJob(context, recogniser, early).run,
             OperationKind.MERGE_MAP: MapMerging(context, recogniser, optimiser, merger).run,

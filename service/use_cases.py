@@ -36,6 +36,7 @@ from revisit.service.features.operations.dead_letters import DeadLetters
 from revisit.service.features.operations.worker_answers import WorkerAnswers
 from revisit.service.features.optimisation.calls import MapVersions
 from revisit.service.features.publishing.calls import MapFiles
+from revisit.service.features.relocalisation.calls import Conversations
 from revisit.service.features.resources.call_context import CallContext
 from revisit.service.features.resources.paging import Lists, PageTokens
 from revisit.service.features.retention.calls import MapRetentions
@@ -58,6 +59,7 @@ class UseCases:
     posting: SubmapPosting
     submaps: Submaps
     searches: Searches
+    conversations: Conversations
     loops: Loops
     loop_keypoints: LoopKeypointReading
     operations: Operations
@@ -98,6 +100,7 @@ class UseCases:
             posting=SubmapPosting(context, of.decoder),
             submaps=Submaps(context, rendering, SubmapMeshes(context, answers)),
             searches=Searches(context, of.decoder, of.memory, answers, writes),
+            conversations=Conversations(context, of.decoder, answers, of.in_flight),
             loops=Loops(context, tail, writes),
             loop_keypoints=LoopKeypointReading(context),
             operations=operations,

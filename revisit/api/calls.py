@@ -189,6 +189,7 @@ _TABLE = (
             cost=Cost.CLOUD,
             tag="searches",
         ),
+        Row("Relocalise", QUERY, cost=Cost.SCANS, tag="searches"),
         Row("GetLoopClosure", QUERY, "GET /v1/{name=maps/*/loopClosures/*}", "loop_closure"),
         Row("ListLoopClosures", QUERY, "GET /v1/{parent=maps/*}/loopClosures"),
         Row("WatchLoopClosures", QUERY, cost=Cost.WATCH),

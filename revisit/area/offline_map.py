@@ -12,6 +12,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from revisit.area.conversation import AreaConversation, Method
 from revisit.core.acceptance import LoopClaim, Station, StationInMap, accept_cloud, best_loop
 from revisit.core.config import PipelineConfig
 from revisit.core.errors import DescriptorModelMismatch
@@ -106,6 +107,19 @@ class AreaMap:
             candidates=tuple(judged),
             in_map=self._map_pose(submap, submap.T_map_submap @ T_match_query),
         )
+
+    def relocalise(self, *, only_session: str | None = None) -> AreaConversation:
+        """A conversation about where in the map a robot is, that moves: see `Client.relocalise`.
+
+        `only_session` is a session's name. Answers have poses in the map, and need no link.
+        """
+        method = Method(
+            self._config,
+            lambda submap: describe(submap, self._models, self._config),
+            lambda described, count: self._recalled(described, count, only_session=only_session),
+            self._place,
+        )
+        return AreaConversation(self.file, self._sessions, method)
 
     def close(self) -> None:
         """Let go of the file."""

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import math
+from contextlib import AbstractContextManager
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from revisit.cli.along import Asked, conversation, conversation_in_file, relocalise_along
 from revisit.cli.explain import emit_near_misses
 from revisit.cli.extras import needs
 from revisit.cli.loop_decisions import decide
-from revisit.cli.options import HTTP, Http, Json, MapName
+from revisit.cli.options import GRPC, HTTP, Grpc, Http, Json, MapName
 from revisit.cli.output import emit_json, emit_table, refuse, say
 from revisit.cli.submap_names import full_name, short_name
 from revisit.core.errors import RevisitError
@@ -44,12 +46,23 @@ def query(
     file: Annotated[
         Path | None, typer.Option(exists=True, dir_okay=False, help="Localise in this map file, without a service.")
     ] = None,
+    along: Annotated[
+        Path | None,
+        typer.Option(exists=True, help="Drive this recording instead, asking over gRPC or --file as it goes."),
+    ] = None,
+    every: Annotated[float, typer.Option(min=0.1, help="--along: ask so often, m.")] = 5.0,
     http: Http = HTTP,
+    grpc: Grpc = GRPC,
     json: Json = False,
 ) -> None:
-    """Say where a cloud was taken, or which submaps look like a submap."""
+    """Say where a cloud was taken, or a recording is driven, or which submaps look like a submap."""
     from revisit.sdk.client import Client
 
+    if along is not None:
+        if cloud is not None or submap or level or explain or (file and (storey or exclude_session)):
+            raise refuse("--along takes --every and, without --file, --map, --storey and --exclude-session")
+        _relocalise(file, conversation(map_id, grpc, storey, exclude_session), along, every, json)
+        return
     if file is not None:
         if cloud is None or submap or exclude_session or level or storey or explain:
             raise refuse("--file takes a cloud and --k, nothing else")
@@ -64,6 +77,23 @@ def query(
             emit_near_misses(client, full_name(map_id, submap), k, json)
         else:
             _search(client, map_id, submap, k, exclude_session or None, json)
+
+
+def _relocalise(
+    file: Path | None, service: AbstractContextManager[Asked], along: Path, every_m: float, as_json: bool
+) -> None:
+    """Hold a conversation with a map file, if there is one, else with the service."""
+    if file is None:
+        with service as asked:
+            relocalise_along(asked, along, every_m, as_json)
+    else:
+        _relocalise_in_file(file, along, every_m, as_json)
+
+
+@needs("service")
+def _relocalise_in_file(file: Path, along: Path, every_m: float, as_json: bool) -> None:
+    with conversation_in_file(file) as asked:
+        relocalise_along(asked, along, every_m, as_json)
 
 
 def _require_one_question(cloud: Path | None, submap: str, storey: str, *, explain: bool) -> None:

@@ -14,6 +14,7 @@ from functools import partial, wraps
 from typing import Any
 
 from revisit.sdk.client import Client, ScanStream
+from revisit.sdk.conversations import Conversation
 
 CALLS_AT_A_TIME = 32
 """Threads of a client; an open watch has one of them."""
@@ -112,6 +113,12 @@ class AsyncClient:
             raise
         await self._threads.awaited(opened.__exit__)(None, None, None)
 
+    @asynccontextmanager
+    async def relocalise(self, *given: Any, **named: Any) -> AsyncIterator[AwaitedConversation]:
+        """As `Client.relocalise`."""
+        with self._client.relocalise(*given, **named) as conversation:
+            yield AwaitedConversation(conversation, self._threads)
+
     async def close(self) -> None:
         """Let go of the connections."""
         await self._threads.awaited(self._client.close)()
@@ -124,6 +131,18 @@ class AsyncClient:
     async def __aexit__(self, *_: object) -> None:
         """Let go of the connections."""
         await self.close()
+
+
+class AwaitedConversation:
+    """An open conversation: `Conversation` with `see` awaited."""
+
+    def __init__(self, conversation: Conversation, threads: Threads) -> None:
+        self._conversation = conversation
+        self.see = threads.awaited(conversation.see)
+
+    def __getattr__(self, name: str) -> Any:
+        """The state of the conversation."""
+        return getattr(self._conversation, name)
 
 
 class AwaitedStream:

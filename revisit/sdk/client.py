@@ -11,6 +11,7 @@ from typing import Any, Self
 from revisit.api.calls import CALLS
 from revisit.sdk import names
 from revisit.sdk.clouds import PointsLike, encoded
+from revisit.sdk.conversations import Conversation
 from revisit.sdk.corrections import CorrectionWatch
 from revisit.sdk.credentials import Credentials
 from revisit.sdk.errors import ErrorDetails, InvalidArgument
@@ -34,7 +35,7 @@ from revisit.sdk.spool import DEFAULT_MAX_BYTES, Spool
 from revisit.sdk.spooled_stream import RECONNECT, SpooledStream
 from revisit.sdk.transport import Forgetful, OnDelay, Refusal, ScanSink, Transport
 from revisit.sdk.watching import Watch
-from revisit.v1 import event_pb2, mapping_pb2, system_pb2
+from revisit.v1 import event_pb2, loop_closure_pb2, mapping_pb2, system_pb2
 
 DEFAULT_HTTP = "http://127.0.0.1:8080"
 DEFAULT_GRPC = "127.0.0.1:8090"
@@ -231,6 +232,36 @@ class Client:
             stream.flush()
         finally:
             stream.close()
+
+    @contextmanager
+    def relocalise(
+        self,
+        map_: str | Map,
+        *,
+        storey: str | None = None,
+        only_session: str | Session | None = None,
+        exclude_session: str | Session | None = None,
+    ) -> Iterator[Conversation]:
+        """Where in a map is this robot, which moves? A conversation, over gRPC: each scan is answered at once.
+
+        `with client.relocalise("yard") as conversation: answer = conversation.see(points, T_odom_sensor)`. The answer's
+        `state` is PLACED with one pose, SEVERAL with poses that may be true, or UNKNOWN with a reason. `storey`: where
+        the robot is; `exclude_session` (a session, its name or id): that which the robot itself streams.
+        """
+        opening = request_of(
+            loop_closure_pb2.RelocaliseOpen,
+            {
+                "parent": name_of(map_, names.MAP),
+                "storey": storey,
+                "only_session": None if only_session is None else name_in_map(map_, only_session),
+                "exclude_session": None if exclude_session is None else name_in_map(map_, exclude_session),
+            },
+        )
+        conversation = Conversation(lambda: self._transport.open_conversation(opening), self._retry)
+        try:
+            yield conversation
+        finally:
+            conversation.close()
 
     def holds_scan(
         self, session: str | Session, seq: int, points: PointsLike, T_odom_sensor: Any, stamp_ns: int

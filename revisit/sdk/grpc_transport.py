@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import queue
 from collections.abc import Callable, Iterator
 from functools import partial
 from typing import Any, TypeVar
@@ -18,7 +19,7 @@ from revisit.sdk.reading import Json
 from revisit.sdk.retry import RetryPolicy
 from revisit.sdk.scan_stream import GrpcScanSink, holds_scan
 from revisit.sdk.transport import SILENT_S, Forgetful, StreamJournal
-from revisit.v1 import event_pb2, map_file_pb2, mapping_pb2
+from revisit.v1 import event_pb2, loop_closure_pb2, map_file_pb2, mapping_pb2
 
 MAX_MESSAGE_BYTES = 16 * 2**20
 ANSWER_TIMEOUT_S = 90.0
@@ -88,6 +89,11 @@ class GrpcTransport:
             self._stream_scans(), session, self._retry, lambda error: _api_error(error, self._address), journal
         )
 
+    def open_conversation(self, opening: loop_closure_pb2.RelocaliseOpen) -> GrpcConversation:
+        """See Transport."""
+        call = partial(self._method("Relocalise"), metadata=self._metadata)
+        return GrpcConversation(call, opening, lambda error: _api_error(error, self._address))
+
     def holds_scan(self, session: str, seq: int, cloud: Cloud, pose: Json, stamp_ns: int) -> bool:
         """See Transport."""
         return self._run(lambda: holds_scan(self._stream_scans(), session, seq, cloud, pose, stamp_ns))
@@ -127,6 +133,38 @@ class GrpcTransport:
                 raise _api_error(error, self._address) from error
 
         return self._retry.run(once)
+
+
+class GrpcConversation:
+    """`revisit.sdk.transport.ConversationCall` over a call of Relocalise."""
+
+    def __init__(
+        self,
+        call: Callable[..., Any],
+        opening: loop_closure_pb2.RelocaliseOpen,
+        api_error: Callable[[Any], ApiError],
+    ) -> None:
+        self._requests: queue.SimpleQueue[loop_closure_pb2.RelocaliseRequest | None] = queue.SimpleQueue()
+        self._requests.put(loop_closure_pb2.RelocaliseRequest(open=opening))
+        self._call = call(iter(self._requests.get, None))
+        self._answers = Answers(self._call)
+        self._api_error = api_error
+
+    def ask(self, scan: loop_closure_pb2.RelocaliseScan) -> loop_closure_pb2.RelocaliseResponse:
+        """See ConversationCall."""
+        self._requests.put(loop_closure_pb2.RelocaliseRequest(scan=scan))
+        try:
+            answered: loop_closure_pb2.RelocaliseResponse | None = self._answers.next(ANSWER_TIMEOUT_S)
+        except (grpc.RpcError, LostCall) as error:
+            raise self._api_error(error) from error
+        if answered is None:
+            raise unreachable("the service", "it ended the stream")
+        return answered
+
+    def close(self) -> None:
+        """See ConversationCall."""
+        self._requests.put(None)
+        self._call.cancel()
 
 
 class GrpcCorrectionFeed:

@@ -311,6 +311,56 @@ class Localization(Resource):
 
 
 @dataclass(frozen=True, kw_only=True)
+class RelocalisedPose(Resource):
+    """A pose of the newest scan that may be true."""
+
+    in_map: MapPose | None = field(default=None, compare=False, metadata=read_by(in_map("t_map_sensor")))
+    """The pose in a frame of the map; None while no version of the map has the session."""
+    T_session_sensor: Matrix4 | None = field(default=None, compare=False)
+    """Then the pose in the odometry frame of that session, maps/{map}/sessions/{session}; else absent and empty."""
+    session: str | None = None
+    covariance: Matrix4 = field(compare=False, metadata=read_by(covariance_of))
+    """(6, 6) of (x, y, z, rx, ry, rz), metres and radians; NaN where the graph does not tell it."""
+    probability: float = 0.0
+    views: int = 0
+    """Scans that agree with the pose and see anything new, and those of them with an accepted pair."""
+    accepted: int = 0
+    along_m: float = 0.0
+    """The way along which they lie, metres."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class TellingDrive(Resource):
+    """A drive after which the map expects the most unlike views of the possible poses."""
+
+    direction_rad: float = 0.0
+    """In the frame of the newest scan: 0 ahead, to the left positive, radians."""
+    distance_m: float = 0.0
+    difference: float = 0.0
+    """How unlike the views are, 0 to 1."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Relocalisation(Resource):
+    """What the scans so far tell."""
+
+    state: str = ""
+    """PLACED, SEVERAL or UNKNOWN."""
+    reason: str | None = None
+    """TOO_FEW_RETURNS, MAP_IS_EMPTY, NOT_YET, PLACES_REPEAT or NOT_IN_MAP; empty but where the state is UNKNOWN."""
+    poses: tuple[RelocalisedPose, ...] = ()
+    """Most probable first; one where PLACED, none where UNKNOWN."""
+    none_of_them: float = 0.0
+    """The probability that none of the poses is true. Together with theirs at most 1."""
+    travelled_m: float = 0.0
+    """The way of the conversation so far, metres."""
+    tells_apart: TellingDrive | None = None
+    """A drive that would tell the poses apart; absent where there is one pose or none, or no drive would."""
+    on_other_storeys: int = 0
+    """How many submaps of the map's index could not be compared, as their sessions are on another storey."""
+
+
+@dataclass(frozen=True, kw_only=True)
 class LoopClosure(Resource):
     """A pair of submaps that look alike, with the verdict."""
 

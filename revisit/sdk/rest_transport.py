@@ -8,7 +8,7 @@ import time
 from collections import deque
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from typing import Any, TypeVar
+from typing import Any, Never, TypeVar
 
 import httpx
 from google.protobuf.json_format import ParseDict, ParseError
@@ -25,7 +25,7 @@ from revisit.sdk.messages import cloud_message
 from revisit.sdk.reading import Json
 from revisit.sdk.retry import RetryPolicy
 from revisit.sdk.transport import SILENT_S, Forgetful, Refusal, StreamJournal, listed
-from revisit.v1 import event_pb2, geometry_pb2, ingest_pb2, map_pb2, mapping_pb2, session_pb2
+from revisit.v1 import event_pb2, geometry_pb2, ingest_pb2, loop_closure_pb2, map_pb2, mapping_pb2, session_pb2
 
 M = TypeVar("M", bound=Message)
 
@@ -106,6 +106,11 @@ class RestTransport:
     def open_stream(self, session: str, journal: StreamJournal = Forgetful()) -> RestScanSink:
         """See Transport."""
         return RestScanSink(self, session, journal)
+
+    def open_conversation(self, opening: loop_closure_pb2.RelocaliseOpen) -> Never:
+        """See Transport: HTTP has no stream in both directions."""
+        message = "a conversation needs gRPC: make the client by Client.grpc()"
+        raise FailedPrecondition(ErrorDetails("FAILED_PRECONDITION", "NEEDS_GRPC", message))
 
     def holds_scan(self, session: str, seq: int, cloud: Cloud, pose: Json, stamp_ns: int) -> bool:
         """See Transport."""

@@ -8,7 +8,7 @@ from typing import Any, Protocol
 
 from revisit.sdk.clouds import Cloud
 from revisit.sdk.reading import Json
-from revisit.v1 import event_pb2, mapping_pb2
+from revisit.v1 import event_pb2, loop_closure_pb2, mapping_pb2
 
 SILENT_S = 45.0
 """A watch of which nothing was heard for so long is dead: the service gives a sign of life every 15 s."""
@@ -117,6 +117,18 @@ class CorrectionFeed(Protocol):
         ...
 
 
+class ConversationCall(Protocol):
+    """An open conversation with the service."""
+
+    def ask(self, scan: loop_closure_pb2.RelocaliseScan) -> loop_closure_pb2.RelocaliseResponse:
+        """The answer to a scan. Raises ApiError where the conversation has ended."""
+        ...
+
+    def close(self) -> None:
+        """Let go of the connection."""
+        ...
+
+
 class Transport(Protocol):
     """REST or gRPC. Every call raises ApiError."""
 
@@ -142,6 +154,10 @@ class Transport(Protocol):
 
     def open_stream(self, session: str, journal: StreamJournal = Forgetful()) -> ScanSink:
         """Open a session's stream of scans."""
+        ...
+
+    def open_conversation(self, opening: loop_closure_pb2.RelocaliseOpen) -> ConversationCall:
+        """Begin a conversation about where in a map a robot is. Raises ApiError, also where the transport has none."""
         ...
 
     def holds_scan(self, session: str, seq: int, cloud: Cloud, pose: Json, stamp_ns: int) -> bool:

@@ -201,6 +201,118 @@ class LocalizeResponse(_message.Message):
     on_other_storeys: int
     def __init__(self, best: _Optional[_Union[LocalizedCandidate, _Mapping]] = ..., candidates: _Optional[_Iterable[_Union[LocalizedCandidate, _Mapping]]] = ..., t_odom_query: _Optional[_Union[_geometry_pb2.Transform, _Mapping]] = ..., session: _Optional[str] = ..., t_map_query: _Optional[_Union[_geometry_pb2.Transform, _Mapping]] = ..., frame: _Optional[str] = ..., map_version: _Optional[int] = ..., on_other_storeys: _Optional[int] = ...) -> None: ...
 
+class RelocaliseRequest(_message.Message):
+    __slots__ = ("open", "scan")
+    OPEN_FIELD_NUMBER: _ClassVar[int]
+    SCAN_FIELD_NUMBER: _ClassVar[int]
+    open: RelocaliseOpen
+    scan: RelocaliseScan
+    def __init__(self, open: _Optional[_Union[RelocaliseOpen, _Mapping]] = ..., scan: _Optional[_Union[RelocaliseScan, _Mapping]] = ...) -> None: ...
+
+class RelocaliseOpen(_message.Message):
+    __slots__ = ("parent", "storey", "only_session", "exclude_session")
+    PARENT_FIELD_NUMBER: _ClassVar[int]
+    STOREY_FIELD_NUMBER: _ClassVar[int]
+    ONLY_SESSION_FIELD_NUMBER: _ClassVar[int]
+    EXCLUDE_SESSION_FIELD_NUMBER: _ClassVar[int]
+    parent: str
+    storey: str
+    only_session: str
+    exclude_session: str
+    def __init__(self, parent: _Optional[str] = ..., storey: _Optional[str] = ..., only_session: _Optional[str] = ..., exclude_session: _Optional[str] = ...) -> None: ...
+
+class RelocaliseScan(_message.Message):
+    __slots__ = ("t_odom_sensor", "cloud")
+    T_ODOM_SENSOR_FIELD_NUMBER: _ClassVar[int]
+    CLOUD_FIELD_NUMBER: _ClassVar[int]
+    t_odom_sensor: _geometry_pb2.Transform
+    cloud: _cloud_pb2.Cloud
+    def __init__(self, t_odom_sensor: _Optional[_Union[_geometry_pb2.Transform, _Mapping]] = ..., cloud: _Optional[_Union[_cloud_pb2.Cloud, _Mapping]] = ...) -> None: ...
+
+class RelocaliseResponse(_message.Message):
+    __slots__ = ("answer", "refusal")
+    ANSWER_FIELD_NUMBER: _ClassVar[int]
+    REFUSAL_FIELD_NUMBER: _ClassVar[int]
+    answer: RelocaliseAnswer
+    refusal: RelocaliseRefusal
+    def __init__(self, answer: _Optional[_Union[RelocaliseAnswer, _Mapping]] = ..., refusal: _Optional[_Union[RelocaliseRefusal, _Mapping]] = ...) -> None: ...
+
+class RelocaliseAnswer(_message.Message):
+    __slots__ = ("state", "reason", "poses", "none_of_them", "travelled_m", "tells_apart", "on_other_storeys")
+    class State(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
+        __slots__ = ()
+        STATE_UNSPECIFIED: _ClassVar[RelocaliseAnswer.State]
+        PLACED: _ClassVar[RelocaliseAnswer.State]
+        SEVERAL: _ClassVar[RelocaliseAnswer.State]
+        UNKNOWN: _ClassVar[RelocaliseAnswer.State]
+    STATE_UNSPECIFIED: RelocaliseAnswer.State
+    PLACED: RelocaliseAnswer.State
+    SEVERAL: RelocaliseAnswer.State
+    UNKNOWN: RelocaliseAnswer.State
+    STATE_FIELD_NUMBER: _ClassVar[int]
+    REASON_FIELD_NUMBER: _ClassVar[int]
+    POSES_FIELD_NUMBER: _ClassVar[int]
+    NONE_OF_THEM_FIELD_NUMBER: _ClassVar[int]
+    TRAVELLED_M_FIELD_NUMBER: _ClassVar[int]
+    TELLS_APART_FIELD_NUMBER: _ClassVar[int]
+    ON_OTHER_STOREYS_FIELD_NUMBER: _ClassVar[int]
+    state: RelocaliseAnswer.State
+    reason: str
+    poses: _containers.RepeatedCompositeFieldContainer[RelocalisedPose]
+    none_of_them: float
+    travelled_m: float
+    tells_apart: RelocaliseDrive
+    on_other_storeys: int
+    def __init__(self, state: _Optional[_Union[RelocaliseAnswer.State, str]] = ..., reason: _Optional[str] = ..., poses: _Optional[_Iterable[_Union[RelocalisedPose, _Mapping]]] = ..., none_of_them: _Optional[float] = ..., travelled_m: _Optional[float] = ..., tells_apart: _Optional[_Union[RelocaliseDrive, _Mapping]] = ..., on_other_storeys: _Optional[int] = ...) -> None: ...
+
+class RelocalisedPose(_message.Message):
+    __slots__ = ("t_map_sensor", "frame", "map_version", "t_session_sensor", "session", "covariance", "probability", "views", "accepted", "along_m")
+    T_MAP_SENSOR_FIELD_NUMBER: _ClassVar[int]
+    FRAME_FIELD_NUMBER: _ClassVar[int]
+    MAP_VERSION_FIELD_NUMBER: _ClassVar[int]
+    T_SESSION_SENSOR_FIELD_NUMBER: _ClassVar[int]
+    SESSION_FIELD_NUMBER: _ClassVar[int]
+    COVARIANCE_FIELD_NUMBER: _ClassVar[int]
+    PROBABILITY_FIELD_NUMBER: _ClassVar[int]
+    VIEWS_FIELD_NUMBER: _ClassVar[int]
+    ACCEPTED_FIELD_NUMBER: _ClassVar[int]
+    ALONG_M_FIELD_NUMBER: _ClassVar[int]
+    t_map_sensor: _geometry_pb2.Transform
+    frame: str
+    map_version: int
+    t_session_sensor: _geometry_pb2.Transform
+    session: str
+    covariance: _containers.RepeatedScalarFieldContainer[float]
+    probability: float
+    views: int
+    accepted: int
+    along_m: float
+    def __init__(self, t_map_sensor: _Optional[_Union[_geometry_pb2.Transform, _Mapping]] = ..., frame: _Optional[str] = ..., map_version: _Optional[int] = ..., t_session_sensor: _Optional[_Union[_geometry_pb2.Transform, _Mapping]] = ..., session: _Optional[str] = ..., covariance: _Optional[_Iterable[float]] = ..., probability: _Optional[float] = ..., views: _Optional[int] = ..., accepted: _Optional[int] = ..., along_m: _Optional[float] = ...) -> None: ...
+
+class RelocaliseDrive(_message.Message):
+    __slots__ = ("direction_rad", "distance_m", "difference")
+    DIRECTION_RAD_FIELD_NUMBER: _ClassVar[int]
+    DISTANCE_M_FIELD_NUMBER: _ClassVar[int]
+    DIFFERENCE_FIELD_NUMBER: _ClassVar[int]
+    direction_rad: float
+    distance_m: float
+    difference: float
+    def __init__(self, direction_rad: _Optional[float] = ..., distance_m: _Optional[float] = ..., difference: _Optional[float] = ...) -> None: ...
+
+class RelocaliseRefusal(_message.Message):
+    __slots__ = ("code", "reason", "retryable", "message", "retry_delay_s")
+    CODE_FIELD_NUMBER: _ClassVar[int]
+    REASON_FIELD_NUMBER: _ClassVar[int]
+    RETRYABLE_FIELD_NUMBER: _ClassVar[int]
+    MESSAGE_FIELD_NUMBER: _ClassVar[int]
+    RETRY_DELAY_S_FIELD_NUMBER: _ClassVar[int]
+    code: str
+    reason: str
+    retryable: bool
+    message: str
+    retry_delay_s: float
+    def __init__(self, code: _Optional[str] = ..., reason: _Optional[str] = ..., retryable: _Optional[bool] = ..., message: _Optional[str] = ..., retry_delay_s: _Optional[float] = ...) -> None: ...
+
 class GetLoopClosureRequest(_message.Message):
     __slots__ = ("name",)
     NAME_FIELD_NUMBER: _ClassVar[int]

@@ -45,6 +45,11 @@ class LoopClosureServiceStub:
                 request_serializer=revisit_dot_v1_dot_loop__closure__pb2.LocalizeRequest.SerializeToString,
                 response_deserializer=revisit_dot_v1_dot_loop__closure__pb2.LocalizeResponse.FromString,
                 _registered_method=True)
+        self.Relocalise = channel.stream_stream(
+                '/revisit.v1.LoopClosureService/Relocalise',
+                request_serializer=revisit_dot_v1_dot_loop__closure__pb2.RelocaliseRequest.SerializeToString,
+                response_deserializer=revisit_dot_v1_dot_loop__closure__pb2.RelocaliseResponse.FromString,
+                _registered_method=True)
         self.GetLoopClosure = channel.unary_unary(
                 '/revisit.v1.LoopClosureService/GetLoopClosure',
                 request_serializer=revisit_dot_v1_dot_loop__closure__pb2.GetLoopClosureRequest.SerializeToString,
@@ -105,6 +110,17 @@ class LoopClosureServiceServicer:
 
     def Localize(self, request, context):
         """Where in the map was this cloud taken? No match is a result, not an error.
+        """
+        context.set_code(grpc.StatusCode.UNIMPLEMENTED)
+        context.set_details('Method not implemented!')
+        raise NotImplementedError('Method not implemented!')
+
+    def Relocalise(self, request_iterator, context):
+        """Where in the map is a robot that moves? A conversation: each scan is answered at once.
+
+        The client sends RelocaliseOpen first, then scans with their odometry, one after the other; each is answered by one
+        message, in order. The service keeps the last scans and what all have told as long as the stream is open, and stores
+        nothing. After a lost connection a conversation begins anew, with the scan that was not answered.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
@@ -187,6 +203,11 @@ def add_LoopClosureServiceServicer_to_server(servicer, server):
                     servicer.Localize,
                     request_deserializer=revisit_dot_v1_dot_loop__closure__pb2.LocalizeRequest.FromString,
                     response_serializer=revisit_dot_v1_dot_loop__closure__pb2.LocalizeResponse.SerializeToString,
+            ),
+            'Relocalise': grpc.stream_stream_rpc_method_handler(
+                    servicer.Relocalise,
+                    request_deserializer=revisit_dot_v1_dot_loop__closure__pb2.RelocaliseRequest.FromString,
+                    response_serializer=revisit_dot_v1_dot_loop__closure__pb2.RelocaliseResponse.SerializeToString,
             ),
             'GetLoopClosure': grpc.unary_unary_rpc_method_handler(
                     servicer.GetLoopClosure,
@@ -289,6 +310,33 @@ class LoopClosureService:
             '/revisit.v1.LoopClosureService/Localize',
             revisit_dot_v1_dot_loop__closure__pb2.LocalizeRequest.SerializeToString,
             revisit_dot_v1_dot_loop__closure__pb2.LocalizeResponse.FromString,
+            options,
+            channel_credentials,
+            insecure,
+            call_credentials,
+            compression,
+            wait_for_ready,
+            timeout,
+            metadata,
+            _registered_method=True)
+
+    @staticmethod
+    def Relocalise(request_iterator,
+            target,
+            options=(),
+            channel_credentials=None,
+            call_credentials=None,
+            insecure=False,
+            compression=None,
+            wait_for_ready=None,
+            timeout=None,
+            metadata=None):
+        return grpc.experimental.stream_stream(
+            request_iterator,
+            target,
+            '/revisit.v1.LoopClosureService/Relocalise',
+            revisit_dot_v1_dot_loop__closure__pb2.RelocaliseRequest.SerializeToString,
+            revisit_dot_v1_dot_loop__closure__pb2.RelocaliseResponse.FromString,
             options,
             channel_credentials,
             insecure,

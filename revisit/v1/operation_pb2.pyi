@@ -32,6 +32,7 @@ class Operation(_message.Message):
         PUBLISH_MAP: _ClassVar[Operation.Kind]
         RECALL_LOOPS: _ClassVar[Operation.Kind]
         MAKE_MESH: _ClassVar[Operation.Kind]
+        RELOCALISE: _ClassVar[Operation.Kind]
     KIND_UNSPECIFIED: Operation.Kind
     DESCRIBE_SUBMAP: Operation.Kind
     SEARCH_CLOUD: Operation.Kind
@@ -44,6 +45,7 @@ class Operation(_message.Message):
     PUBLISH_MAP: Operation.Kind
     RECALL_LOOPS: Operation.Kind
     MAKE_MESH: Operation.Kind
+    RELOCALISE: Operation.Kind
     class State(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
         __slots__ = ()
         STATE_UNSPECIFIED: _ClassVar[Operation.State]

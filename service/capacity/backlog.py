@@ -67,8 +67,8 @@ def _waiting(uow: UnitOfWork, tenant: TenantId) -> int:
 
 
 QUERIES = (
-    OperationKind.SEARCH_CLOUD, OperationKind.LOCALIZE, OperationKind.MAKE_TILE, OperationKind.MEASURE_MAP,
-    OperationKind.MAKE_MESH,
+    OperationKind.SEARCH_CLOUD, OperationKind.LOCALIZE, OperationKind.RELOCALISE, OperationKind.MAKE_TILE,
+    OperationKind.MEASURE_MAP, OperationKind.MAKE_MESH,
 )  # fmt: skip
 """The kinds of jobs for which a client waits."""
 

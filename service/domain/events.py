@@ -20,7 +20,7 @@ R = TypeVar("R", contravariant=True)
 AMBIGUOUS = "AMBIGUOUS"
 """The reason of a loop closure that was rejected because other poses fit as well (docs/decisions/0080)."""
 
-WAITED_FOR = frozenset({OperationKind.SEARCH_CLOUD.value, OperationKind.LOCALIZE.value})
+WAITED_FOR = frozenset({OperationKind.SEARCH_CLOUD.value, OperationKind.LOCALIZE.value, OperationKind.RELOCALISE.value})
 """Operations with a waiting client: they make no event."""
 
 

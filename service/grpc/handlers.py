@@ -12,6 +12,7 @@ from google.protobuf.descriptor import ServiceDescriptor
 from revisit.api.calls import Call, Cost
 from revisit.service.calls import uses
 from revisit.service.domain.callers import current_tenant
+from revisit.service.grpc.conversations import ConversationStreams
 from revisit.service.grpc.scan_streams import ScanStreams
 from revisit.service.use_cases import UseCases
 from revisit.service.wire.rendering import rendered
@@ -39,10 +40,14 @@ def handlers_of(calls: Mapping[str, Call], cases: UseCases) -> list[Any]:
 def _handler(call: Call, cases: UseCases) -> Any:
     parts = (call.request.FromString, call.response.SerializeToString)
     if call.row.cost is Cost.SCANS:
-        return grpc.stream_stream_rpc_method_handler(ScanStreams(cases).stream, *parts)
+        return grpc.stream_stream_rpc_method_handler(_BOTH_WAYS[call.name](cases).stream, *parts)
     if call.method.server_streaming:
         return grpc.unary_stream_rpc_method_handler(_stream(call, cases), *parts)
     return grpc.unary_unary_rpc_method_handler(_unary(call, cases), *parts)
+
+
+_BOTH_WAYS: Mapping[str, Any] = {"StreamScans": ScanStreams, "Relocalise": ConversationStreams}
+"""What answers the streams in both directions."""
 
 
 def _unary(call: Call, cases: UseCases) -> Any:

@@ -17,6 +17,7 @@ from revisit.service.features.catalogue.maps import CreateMap
 from revisit.service.features.catalogue.sessions import CreateSession
 from revisit.service.features.ingest.clouds import DecodedCloud
 from revisit.service.features.ingest.posting import PostSubmap
+from revisit.service.features.relocalisation.calls import StartConversation
 from revisit.service.features.search.calls import LocalizeQuery
 from revisit.service.ports.blobs import NEURAL_MAP_BLOB
 from tests.support.service_world import TENANT, answered, memory_world
@@ -86,3 +87,22 @@ async def test_a_map_file_judges_a_cloud_as_the_service_does(world, recogniser, 
         assert service.best.submap.name == offline.best.submap
         # The service measures at keypoints, a file at its neural map.
         np.testing.assert_allclose(service.T_odom_query, offline.T_odom_query, atol=0.02)
+
+
+async def test_a_map_file_holds_the_conversation_that_the_service_holds(world, recogniser, tmp_path):
+    """Past a yard of which the map has a twin, into one of which it has none, and out of the map."""
+    views = [(0, 0.0), (1, 12.0), (9, 24.0)]
+    conversation = await world.use_cases.conversations.begin(TENANT, StartConversation("yards"))
+    with AreaMap.open(filed(world, tmp_path)) as area:
+        offline = area.relocalise()
+        for seed, x_m in views:
+            cloud, pose = points(seed, se3.inverse(se3.from_yaw(1.1, (4.0, -2.0, 0.0)))), se3.from_yaw(0.0, (x_m, 0, 0))
+            told = offline.see(cloud, pose)
+            asked = conversation.see(DecodedCloud(cloud), pose)
+            served = (await answered(world, asked, recogniser)).answer
+            assert (told.state, told.reason) == (served.state.value, served.reason and served.reason.value)
+            assert told.none_of_them == pytest.approx(served.none_of_them, abs=0.02)
+            assert len(told.poses) == len(served.poses)
+            for one, other in zip(told.poses, served.poses, strict=True):
+                np.testing.assert_allclose(one.in_map.T_map, other.T_frame_view, atol=0.03)
+                assert one.probability == pytest.approx(other.probability, abs=0.02)

@@ -12,6 +12,7 @@ MSG_FOLDER = Path(__file__).resolve().parents[2] / "ros/revisit_msgs/msg"
 _STANDARD = (
     "builtin_interfaces/msg/Time", "std_msgs/msg/Header", "geometry_msgs/msg/Point", "geometry_msgs/msg/Vector3",
     "geometry_msgs/msg/Quaternion", "geometry_msgs/msg/Pose", "geometry_msgs/msg/PoseWithCovariance",
+    "geometry_msgs/msg/PoseWithCovarianceStamped",
     "geometry_msgs/msg/Transform", "geometry_msgs/msg/TransformStamped", "diagnostic_msgs/msg/KeyValue",
     "diagnostic_msgs/msg/DiagnosticStatus", "diagnostic_msgs/msg/DiagnosticArray",
 )  # fmt: skip

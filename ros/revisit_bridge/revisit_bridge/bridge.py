@@ -14,11 +14,13 @@ import numpy as np
 
 from revisit.core.errors import RevisitError
 from revisit.core.geometry import se3
+from revisit.sdk.resources import Relocalisation
 from revisit_bridge.answers import Answers, News, Newsroom
 from revisit_bridge.messages import Points, points_of, pose_of
 from revisit_bridge.outbox import Outbox
 from revisit_bridge.pairing import Mountings, OdometryPoses, PosedCloud, TransformPoses, WaitingClouds
 from revisit_bridge.parameters import Parameters, require_storey
+from revisit_bridge.relocalising import Relocaliser
 from revisit_bridge.session_rule import Begun, LastScan, Motion, Repeated, judge, new_session_id
 
 log = logging.getLogger("revisit_bridge")
@@ -53,6 +55,7 @@ class Bridge:
         boot: str,
         state_file: Path,
         now_s: Callable[[], float],
+        relocaliser: Relocaliser | None = None,
     ) -> None:
         """`boot` names the run of the machine, `now_s` is a monotonic clock. Goes on with the session of `state_file`
         if the first scan fits to it.
@@ -67,6 +70,7 @@ class Bridge:
         if self._journey.last is not None and not outbox.resume(self._journey.last.session_id):
             self._journey = Journey()
         self._newsroom = Newsroom(answers)
+        self._relocaliser = relocaliser
         self._news: queue.SimpleQueue[News] = queue.SimpleQueue()
         self._refused: dict[str, int] = {}
         self._closing = threading.Event()
@@ -138,9 +142,19 @@ class Bridge:
             self._outbox.change_storey(storey)
             self.end_session()
 
+    def relocalise(self) -> bool:
+        """Ask where in the map the robot is, scan by scan, until it is placed; False where that is being asked."""
+        return self._relocaliser is not None and self._relocaliser.begin(self._outbox.state.session)
+
+    def relocalisations(self) -> list[Relocalisation]:
+        """What was told of the robot's pose since the last call."""
+        return [] if self._relocaliser is None else self._relocaliser.answers()
+
     def close(self) -> None:
         """Stop; what is not sent stays on the disk."""
         self._closing.set()
+        if self._relocaliser is not None:
+            self._relocaliser.close()
         if self._thread.is_alive():
             self._thread.join(timeout=5.0)
         if self._journey.last is not None:
@@ -172,7 +186,10 @@ class Bridge:
 
     def _send(self, posed: PosedCloud) -> None:
         try:
-            self._outbox.send(self._points(posed), posed.T_odom_sensor, posed.stamp_ns)
+            points = self._points(posed)
+            if self._relocaliser is not None:
+                self._relocaliser.offer(points, posed.T_odom_sensor)
+            self._outbox.send(points, posed.T_odom_sensor, posed.stamp_ns)
         except RevisitError as error:
             self._complain(error.message)
             return

@@ -14,6 +14,7 @@ from geometry_msgs.msg import (
     Point,
     Pose,
     PoseWithCovariance,
+    PoseWithCovarianceStamped,
     Quaternion,
     Transform,
     TransformStamped,
@@ -34,6 +35,7 @@ from tf2_ros import Buffer, TransformBroadcaster, TransformException, TransformL
 
 from revisit.core.geometry import se3
 from revisit.sdk.client import Client
+from revisit.sdk.resources import Relocalisation
 from revisit_bridge.answers import Correction, News, ServiceAnswers
 from revisit_bridge.bridge import Bridge
 from revisit_bridge.messages import matrix
@@ -44,9 +46,11 @@ from revisit_bridge.publishing import (
     MessageTypes,
     loop_message,
     pose_graph_message,
+    relocalised_message,
     status_message,
     transform_message,
 )
+from revisit_bridge.relocalising import Relocaliser
 from revisit_bridge.session_rule import boot_id
 
 WORK_S = 0.1
@@ -54,8 +58,9 @@ PUBLISH_S = 0.1
 STATUS_S = 1.0
 TF_HISTORY_S = 30.0
 TYPES = MessageTypes(
-    Time, Header, Point, Vector3, Quaternion, Pose, PoseWithCovariance, Transform, TransformStamped, LoopClosure,
-    PoseGraphNode, PoseGraph, KeyValue, DiagnosticStatus, DiagnosticArray, DiagnosticStatus.OK, DiagnosticStatus.WARN,
+    Time, Header, Point, Vector3, Quaternion, Pose, PoseWithCovariance, PoseWithCovarianceStamped, Transform,
+    TransformStamped, LoopClosure, PoseGraphNode, PoseGraph, KeyValue, DiagnosticStatus, DiagnosticArray,
+    DiagnosticStatus.OK, DiagnosticStatus.WARN,
 )  # fmt: skip
 
 
@@ -87,7 +92,12 @@ class BridgeNode(Node):
         sessions = ServiceSessions(self._client, own.robot_id, own.spool_max_mb * 2**20)
         outbox = Outbox(folder, own.map_id, sessions, time.monotonic, own.storey)
         answers = ServiceAnswers(self._client)
-        return Bridge(own, self._lookup, outbox, answers, boot_id(), folder / "last_scan.json", time.monotonic)
+        state_file, relocaliser = folder / "last_scan.json", Relocaliser(self._conversation)
+        return Bridge(own, self._lookup, outbox, answers, boot_id(), state_file, time.monotonic, relocaliser)
+
+    def _conversation(self, own_session: str) -> Any:
+        own = self.parameters
+        return self._client.relocalise(own.map_id, storey=own.storey or None, exclude_session=own_session or None)
 
     def _subscribe(self) -> None:
         own = self.parameters
@@ -95,6 +105,7 @@ class BridgeNode(Node):
         if own.odometry_topic:
             self.create_subscription(Odometry, own.odometry_topic, self.bridge.take_odometry, qos_profile_sensor_data)
         self.create_service(Trigger, "~/end_session", self._end_session)
+        self.create_service(Trigger, "~/relocalise", self._relocalise)
         self.add_on_set_parameters_callback(self._set)
         self.create_timer(WORK_S, self.bridge.work)
         self.create_timer(PUBLISH_S, self._tell)
@@ -104,6 +115,7 @@ class BridgeNode(Node):
         kept = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         self._loops = self.create_publisher(LoopClosure, "~/loop_closures", QoSProfile(depth=100))
         self._graph = self.create_publisher(PoseGraph, "~/pose_graph", kept)
+        self._relocalised = self.create_publisher(PoseWithCovarianceStamped, "~/relocalised", kept)
         self._status = self.create_publisher(DiagnosticArray, "/diagnostics", QoSProfile(depth=1))
 
     def _lookup(self, target: str, source: str, stamp: int) -> se3.Matrix4 | Unknown:
@@ -118,6 +130,8 @@ class BridgeNode(Node):
         """Publish what is new, and the transform that holds."""
         for news in self.bridge.news():
             self._tell_news(news)
+        for answer in self.bridge.relocalisations():
+            self._tell_relocalisation(answer)
         correction = self._correction
         if correction is None or not self.parameters.publish_tf:
             return
@@ -138,6 +152,16 @@ class BridgeNode(Node):
         self._graph.publish(pose_graph_message(TYPES, news.answer, self.bridge.odom_frame, now_ns))
         self._correction, self._corrected_session = news.answer.correction, news.answer.session
 
+    def _tell_relocalisation(self, answer: Relocalisation) -> None:
+        """Publish the one pose; say what else was told."""
+        now_ns = self.get_clock().now().nanoseconds
+        placed = answer.poses[0] if answer.state == "PLACED" else None
+        message = placed and relocalised_message(TYPES, placed, self.parameters.map_frame, now_ns)
+        if message is not None:
+            self._relocalised.publish(message)
+        told = f"{answer.reason or answer.state}, {len(answer.poses)} poses"
+        self.get_logger().info(f"relocalisation after {answer.travelled_m:.0f} m: {told}")
+
     def _tell_status(self) -> None:
         now_ns = self.get_clock().now().nanoseconds
         state, left_out = self.bridge.outbox.state, self.bridge.left_out
@@ -146,6 +170,11 @@ class BridgeNode(Node):
     def _end_session(self, _: Any, response: Any) -> Any:
         self.bridge.end_session()
         response.success, response.message = True, "the next scan begins a new session"
+        return response
+
+    def _relocalise(self, _: Any, response: Any) -> Any:
+        response.success = self.bridge.relocalise()
+        response.message = "the scans to come are asked about" if response.success else "that is being asked already"
         return response
 
     def _set(self, parameters: Any) -> Any:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from revisit.core.geometry import se3
-from revisit.sdk.resources import Submap
+from revisit.sdk.resources import RelocalisedPose, Submap
 from revisit_bridge.answers import UNMEASURED, Answer, Correction, Loop
 from revisit_bridge.outbox import OutboxState
 
@@ -29,6 +29,7 @@ class MessageTypes:
     Quaternion: Any
     Pose: Any
     PoseWithCovariance: Any
+    PoseWithCovarianceStamped: Any
     Transform: Any
     TransformStamped: Any
     LoopClosure: Any
@@ -51,6 +52,14 @@ def transform_message(types: MessageTypes, correction: Correction, frames: tuple
             translation=types.Vector3(x=x, y=y, z=z), rotation=_quaternion(types, correction.T_map_odom)
         ),
     )
+
+
+def relocalised_message(types: MessageTypes, pose: RelocalisedPose, map_frame: str, stamp_ns: int) -> Any | None:
+    """geometry_msgs/PoseWithCovarianceStamped of the sensor; None where no version of the map has its session."""
+    if pose.in_map is None:
+        return None
+    placed = _with_covariance(types, pose.in_map.T_map, pose.covariance)
+    return types.PoseWithCovarianceStamped(header=_header(types, stamp_ns, map_frame), pose=placed)
 
 
 def loop_message(types: MessageTypes, loop: Loop, *, revoked: bool = False) -> Any:

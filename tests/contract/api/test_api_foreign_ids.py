@@ -169,6 +169,7 @@ OWN = {
     "MergeMap": {"source": "maps/annex"},
     "RevertMap": {"version": 1},
     "StreamScans": {"open": {"session": SESSION}},
+    "Relocalise": {"open": {"parent": MAP}},
     "MeasureMapDistances": {"points_m": [{"x": 1.0}]},
     "FindMapPoints": {"within_m": 9.0},
     "DownloadSubmap": {"format": 1},

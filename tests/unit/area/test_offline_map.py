@@ -19,6 +19,7 @@ from revisit.core.model_bundle import load_packaged_models
 from revisit.core.pipeline import describe
 from revisit.core.scan import Scan
 from revisit.core.submap import Submap
+from revisit.evaluation.datasets import write_kitti
 from revisit.formats.map_file import FiledSubmap, MapDescription, write_map_file
 from tests.support.yards import yard
 
@@ -110,3 +111,23 @@ def test_a_map_of_rooms_is_opened_though_its_model_is_named_with_its_scale(tmp_p
     write_map_file(tmp_path / "hall.zip", description, [])
     with AreaMap.open(tmp_path / "hall.zip") as area:
         assert area.search(cloud(1), k=1) == []
+
+
+def test_a_recording_is_asked_about_as_it_goes_until_it_is_placed(area_file, tmp_path):
+    T_submap_start = se3.from_yaw(1.1, (4.0, -2.0, 0.0))
+    poses = [se3.from_yaw(0.0, (1.0 * step, 0.0, 0.0)) for step in range(6)]
+    scans = [(cloud(1, se3.inverse(T_submap_start @ pose)), pose, n) for n, pose in enumerate(poses)]
+    write_kitti(tmp_path / "drive", scans)
+    query = ["query", "--along", str(tmp_path / "drive"), "--file", str(area_file), "--every", "2"]
+    told = CliRunner().invoke(app, query)
+    assert told.exit_code == 0, told.output
+    *before, last = told.stdout.splitlines()
+    assert "PLACED" in last and "in frame-1, probability" in last
+    assert all("SEVERAL" in line or "UNKNOWN" in line for line in before)
+    answers = json.loads(CliRunner().invoke(app, [*query, "--json"]).stdout)
+    pose = np.array(answers[-1]["poses"][0]["in_map"]["T_map"])
+    travelled = se3.from_yaw(0.0, (answers[-1]["travelled_m"], 0.0, 0.0))
+    error = se3.inverse(T_MAP_SUBMAP[1] @ T_submap_start @ travelled) @ pose
+    assert np.linalg.norm(error[:3, 3]) < 0.2
+    refused = CliRunner().invoke(app, [*query, "--storey", "1"])
+    assert refused.exit_code == 1 and "--along" in refused.output
