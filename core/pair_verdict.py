@@ -13,7 +13,7 @@ from revisit.core.geometry import se3
 
 
 class RejectionReason(StrEnum):
-    """Why a candidate is not a loop."""
+    """Why a candidate is not a loop, or not yet."""
 
     DEGENERATE_PLACE = "DEGENERATE_PLACE"
     NO_COMMON_REGION = "NO_COMMON_REGION"
@@ -23,6 +23,7 @@ class RejectionReason(StrEnum):
     SEEN_THROUGH = "SEEN_THROUGH"
     LOW_SCORE = "LOW_SCORE"
     AMBIGUOUS = "AMBIGUOUS"
+    AWAITS_CHAIN = "AWAITS_CHAIN"  # no rejection: it passed where places may repeat, and the drive goes on to decide
     PLACE_LOST = "PLACE_LOST"  # the stored place of a submap is damaged
     FAR_FROM_MAP = "FAR_FROM_MAP"  # a pair sought where its map has it was found elsewhere
     FAR_FROM_INITIAL_POSE = "FAR_FROM_INITIAL_POSE"  # the initial pose of a merge says otherwise

@@ -18,6 +18,7 @@ from revisit.core.acceptance import (
     stride_of_drive,
     submaps_asked,
     verify_in_turn,
+    without_waiting,
 )
 from revisit.core.config import PipelineConfig
 from revisit.core.geometry import se3
@@ -169,7 +170,13 @@ def _judged(
             for row, verdict in verdicts.items()
         ]
         judged.append(_accepted(work, number, new, judged))
-    return JudgedDrive(judged, [seconds for _, seconds in verified])
+    return JudgedDrive([_at_the_end(one) for one in judged], [seconds for _, seconds in verified])
+
+
+def _at_the_end(candidates: list[JudgedCandidate]) -> list[JudgedCandidate]:
+    """The candidates of a query once its drive has ended: none waits for it to go on."""
+    claims = without_waiting([one.claim for one in candidates])
+    return [dataclasses.replace(one, claim=claim) for one, claim in zip(candidates, claims, strict=True)]
 
 
 def _accepted(

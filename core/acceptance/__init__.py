@@ -8,10 +8,12 @@ consistent_share    LOW_CONSISTENT_SHARE
 consistency         PAIRWISE_INCONSISTENT, ODOMETRY_INCONSISTENT
 map_recall          pairs tested again from the poses of a map
 support             ambiguous claims decided by those beside them, SUPPORT_LOST
+chain               AWAITS_CHAIN
 distinctiveness     other spots where a submap would pass
 rules               all of them, in order
 """
 
+from revisit.core.acceptance.chain import is_decided_by_way, without_waiting
 from revisit.core.acceptance.claim import (
     TELLING,
     Distinctiveness,
@@ -38,5 +40,5 @@ from revisit.core.acceptance.support import VerifyNear
 __all__ = [
     "MOST_MOVED_M", "TELLING", "Decided", "Distinctiveness", "Doubt", "Drive", "Grounds", "LoopClaim", "PredictedPoses",
     "Station", "StationInMap", "Support", "VerifyNear", "accept", "accept_cloud", "accept_near", "best_loop",
-    "stride_of_drive", "submaps_asked", "verify_in_turn",
+    "is_decided_by_way", "stride_of_drive", "submaps_asked", "verify_in_turn", "without_waiting",
 ]  # fmt: skip

@@ -26,6 +26,7 @@ class Doubt(StrEnum):
     BETTER_ALTERNATIVE = "BETTER_ALTERNATIVE"  # another place explains more of the submap
     LOW_CONSISTENT_SHARE = "LOW_CONSISTENT_SHARE"  # most pairs that its pose explains did not pass
     SUPPORT_LOST = "SUPPORT_LOST"  # the claims that had decided it are doubted themselves
+    AWAITS_CHAIN = "AWAITS_CHAIN"  # places may repeat, and its drive has not gone on for long enough to tell
 
 
 @dataclass(frozen=True)
@@ -108,8 +109,18 @@ class LoopClaim:
 
     @property
     def accepted(self) -> bool:
-        """Whether it is a loop: the pair passed, and no doubt stands against it without support."""
-        return isinstance(self.verdict, VerifiedLoop) and (self.support is not None or not self.doubts)
+        """Whether it is a loop: the pair passed, no doubt stands against it without support, and it does not wait."""
+        return self._stands and Doubt.AWAITS_CHAIN not in self.doubts
+
+    @property
+    def waits(self) -> bool:
+        """Whether it is a loop but for its chain, which has not decided yet."""
+        return self._stands and Doubt.AWAITS_CHAIN in self.doubts
+
+    @property
+    def _stands(self) -> bool:
+        contradicted = self.support is None and not self.doubts.keys() <= {Doubt.AWAITS_CHAIN}
+        return isinstance(self.verdict, VerifiedLoop) and not contradicted
 
     @property
     def accepted_by_itself(self) -> bool:
@@ -126,6 +137,8 @@ class LoopClaim:
         """Why it is no loop; None where it is one."""
         if self.accepted:
             return None
+        if self.waits:
+            return RejectionReason.AWAITS_CHAIN
         return RejectionReason.AMBIGUOUS if isinstance(self.verdict, VerifiedLoop) else self.verdict.reason
 
     @property
@@ -177,7 +190,7 @@ class LoopClaim:
     @property
     def hypotheses(self) -> tuple[Matrix4, ...]:
         """Its poses T_match_query (4, 4), the best first; none where it says nothing of a pose."""
-        if self.measurement is None or not (self.accepted or self.ambiguous):
+        if self.measurement is None or not (self.accepted or self.ambiguous or self.waits):
             return ()
         rivals = self.measurement.rivals if self.ambiguous else ()
         return (self.measurement.T_match_query, *(rival.T_match_query for rival in rivals))
@@ -200,8 +213,9 @@ class LoopClaim:
         return replace(self, doubts={one: grounds for one, grounds in self.doubts.items() if one not in doubts})
 
 
-TELLING = RejectionReason.AMBIGUOUS, RejectionReason.LOW_SCORE
-"""Reasons of rejected pairs that tell whether pairs pass at a pose: with accepted ones, the evidence of a drive."""
+TELLING = RejectionReason.AMBIGUOUS, RejectionReason.LOW_SCORE, RejectionReason.AWAITS_CHAIN
+"""Reasons of pairs that are no loops, or not yet, which tell whether pairs pass at a pose: with accepted ones, the
+evidence of a drive."""
 
 _OF_A_PASSED_PAIR = frozenset(
     {

@@ -96,18 +96,29 @@ def evident_shares(claims: Sequence[LoopClaim], asked: Sequence[int], stride_m: 
 
     `stride_m`: how far apart neighbouring submaps of the query's drive were begun.
     """
+    evident = np.array([_is_evident(one) for one in claims])
+    explained = explained_by_first(claims, asked, [_poses(claim) for claim in claims], stride_m)
+    return [EvidentShare(int((one & evident).sum()), int(one.sum())) for one in explained]
+
+
+def explained_by_first(
+    claims: Sequence[LoopClaim], asked: Sequence[int], poses: Sequence[Sequence[Matrix4]], stride_m: float
+) -> list[NDArray[np.bool_]]:
+    """Which claims (n,) the first pose of each of those `asked` for explains by one of their `poses`, by odometry.
+
+    Of queries that lie no more than `REACH_M` along the drive from that of the one; all of one matched drive.
+    """
     if not asked:
         return []
-    by_claim = frames_between(claims, [_poses(claim) for claim in claims])
+    by_claim = frames_between(claims, poses)
     frames, owners = np.concatenate(by_claim), np.repeat(np.arange(len(claims)), [len(said) for said in by_claim])
-    way_m, evident = ways_m([one.query for one in claims], stride_m), np.array([_is_evident(one) for one in claims])
+    way_m = ways_m([one.query for one in claims], stride_m)
     position_m = np.array([one.query.T_odom_submap[:3, 3] for one in claims])[owners]
     found = []
     for row in asked:
         explained = np.zeros(len(claims), dtype=bool)
         explained[owners[_agree(frames, by_claim[row][0], position_m, way_m[row, owners])]] = True
-        explained &= way_m[row] <= REACH_M
-        found.append(EvidentShare(int((explained & evident).sum()), int(explained.sum())))
+        found.append(np.asarray(explained & (way_m[row] <= REACH_M)))
     return found
 
 

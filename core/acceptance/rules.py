@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from revisit.core.acceptance.alternatives import not_standing_out, outdone_contacts, without_twins
+from revisit.core.acceptance.chain import with_waiting, without_waiting
 from revisit.core.acceptance.claim import LoopClaim, Station, StationInMap
 from revisit.core.acceptance.consistency import inconsistent
 from revisit.core.acceptance.consistent_share import REACH_M, low_consistent_share
@@ -59,15 +60,17 @@ def accept(new: Sequence[LoopClaim], drive: Drive, config: PipelineConfig, verif
     """
     if not any(claim.hypotheses for claim in new):
         return Decided(list(new), {})
+    known, rules = without_waiting(drive.claims), config.verification
     claims = _with(new, not_standing_out(new, config))
-    claims = _with(claims, outdone_contacts(claims, drive.claims, config))
-    claims, rules = [*drive.claims, *claims], config.verification
+    claims = _with(claims, outdone_contacts(claims, known, config))
+    claims = [*known, *claims]
     claims = _with(claims, low_consistent_share(claims, drive.stride_m))
     claims = _with(claims, inconsistent(claims, rules, drive.stride_m))
     claims = _with(claims, without_lost_support(claims, rules, drive.stride_m))
     claims = _with(claims, with_support(claims, rules, drive.stride_m, verify_near))
+    claims = with_waiting(claims, drive.claims, known, drive.stride_m)
     before = len(drive.claims)
-    revised = {row: claims[row] for row, known in enumerate(drive.claims) if claims[row] is not known}
+    revised = {row: claims[row] for row, one in enumerate(drive.claims) if claims[row] is not one}
     return Decided(with_distinctiveness(claims[before:], config.submap.stride), revised)
 
 

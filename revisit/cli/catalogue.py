@@ -127,5 +127,7 @@ def _row(session: Session, correction: Correction | None) -> tuple[Any, ...]:
 def _counted(loops: list[LoopClosure]) -> Counter[str]:
     """How many loops there are of each verdict: that of the pose graph where it has one, else that of geometry."""
     words = {"IN_MAP": "in the map", "SET_ASIDE": "set aside", "UNCONNECTED": "of sessions that share no frame"}
+    words |= {"AWAITS_CHAIN": "waiting for their drive to go on"}
     others = {"ACCEPTED": "not asked yet", "REJECTED": "rejected", "PROPOSED": "proposed"}
-    return Counter(words.get(loop.graph_state or "", others.get(loop.state, loop.state)) for loop in loops)
+    said = (loop.graph_state or loop.reason or "" for loop in loops)
+    return Counter(words.get(word, others.get(loop.state, loop.state)) for loop, word in zip(loops, said, strict=True))

@@ -85,7 +85,11 @@ def _evaluate(recording: Recording, options: EvaluationOptions, out: Path | None
     if out is not None:
         out.parent.mkdir(parents=True, exist_ok=True)
         result.write_json(out)
-    emit_table("Summary", ("figure", "value"), _flat(result.summary))
+    emit_table("Summary", ("figure", "value"), _flat({**result.summary, "rules": {}}))
+    rules = result.summary.get("rules") or {}
+    if rules:
+        prices = [(doubt, price["right_lost"], price["false_stopped"]) for doubt, price in rules.items()]
+        emit_table("What each rule turned down", ("doubt", "right loops lost", "false loops stopped"), prices)
     if out is not None:
         say(f"{len(result.queries)} rows in {out}")
 

@@ -375,7 +375,7 @@ class LoopClosure(Resource):
     state: str = ""
     """ACCEPTED, REJECTED or PROPOSED."""
     reason: str | None = None
-    """Which gate rejected it; empty where accepted."""
+    """Which gate rejected it, or AWAITS_CHAIN; empty where accepted."""
     similarity: float = 0.0
     score: float = 0.0
     T_match_query: Matrix4 | None = field(default=None, compare=False)

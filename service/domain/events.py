@@ -20,6 +20,9 @@ R = TypeVar("R", contravariant=True)
 AMBIGUOUS = "AMBIGUOUS"
 """The reason of a loop closure that was rejected because other poses fit as well (docs/decisions/0080)."""
 
+AWAITS_CHAIN = "AWAITS_CHAIN"
+"""The reason of a proposed loop closure that waits for its drive to go on (docs/decisions/0337)."""
+
 WAITED_FOR = frozenset({OperationKind.SEARCH_CLOUD.value, OperationKind.LOCALIZE.value, OperationKind.RELOCALISE.value})
 """Operations with a waiting client: they make no event."""
 
@@ -77,10 +80,12 @@ def on_loop_change(log: EventLog) -> ChangeOf[LoopRecord]:
     """Records loop closures that are new or have another state or pose.
 
     Candidates that were rejected at once are no news, unless they are ambiguous. Of the verdicts of the pose graph,
-    that a loop was set aside is news, or no longer is.
+    that a loop was set aside is news, or no longer is. A loop that waits for its chain is none.
     """
 
     def record(before: LoopRecord | None, after: LoopRecord) -> None:
+        if after.reason == AWAITS_CHAIN:
+            return
         if before is None:
             news = after.state != LoopState.REJECTED or after.reason == AMBIGUOUS
         else:

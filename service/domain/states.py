@@ -22,7 +22,10 @@ class SubmapState(StrEnum):
 
 
 class LoopState(StrEnum):
-    """The verdict on a loop closure, of geometry or of a person; PROPOSED has none yet."""
+    """The verdict on a loop closure, of geometry or of a person; PROPOSED has none yet.
+
+    A person has made such a loop, or, with reason AWAITS_CHAIN, it waits for its drive to go on.
+    """
 
     ACCEPTED = "ACCEPTED"
     REJECTED = "REJECTED"

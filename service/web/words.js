@@ -10,6 +10,7 @@ const REASONS = {
   SEEN_THROUGH: ["Seen through", "In this pose one place has walls where the other has looked into the distance. Mostly these are two places that resemble each other."],
   LOW_SCORE: ["Not convincing", "Every check was passed, but the evidence as a whole does not convince."],
   AMBIGUOUS: ["Other poses fit as well", "Every check was passed, but other poses, metres away or turned, fit about as well: the next bay, the next aisle, identical houses. Geometry alone cannot tell which one is right."],
+  AWAITS_CHAIN: ["Waits for the drive", "Every check was passed, but places may repeat here. It is accepted once the drive has gone on and nothing contradicts it."],
   OVERRULED: ["By a person", "A person has rejected it; what was measured is below."],
   PLACE_LOST: ["Data lost", "The stored data of the candidate are damaged, so it could not be compared."],
 };
@@ -42,6 +43,7 @@ export function faultOf({ kind, amount }) {
 export function verdictOf(loop) {
   const state = stateOf(loop);
   if (state === "accepted") return loop.graph_state === "SET_ASIDE" ? "Accepted, but set aside by the map" : "Accepted";
+  if (loop.reason === "AWAITS_CHAIN") return REASONS.AWAITS_CHAIN[0];
   if (loop.state === "PROPOSED") return "Proposed by a person";
   const reason = REASONS[loop.reason]?.[0] ?? loop.reason.toLowerCase().replaceAll("_", " ");
   return state === "ambiguous" ? "Ambiguous" : `Rejected: ${reason.toLowerCase()}`;
@@ -59,7 +61,7 @@ export function sentences(loop) {
   const measured = loop.evidence?.measurement ?? {};
   const said = [];
   if (loop.state === "ACCEPTED") said.push(loop.manual ? "A person says that both submaps show the same place." : "Both submaps show the same place.");
-  else if (loop.state === "PROPOSED") said.push("A person has found it; it waits to be verified.");
+  else if (loop.state === "PROPOSED" && loop.reason !== "AWAITS_CHAIN") said.push("A person has found it; it waits to be verified.");
   else said.push(REASONS[loop.reason]?.[1] ?? `Rejected: ${loop.reason}.`);
   if (measured.overlap !== undefined && measured.overlap !== null) {
     const residual = measured.rmse_m ? `, ${metres(measured.rmse_m)} apart on average` : "";

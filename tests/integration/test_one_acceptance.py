@@ -53,6 +53,8 @@ async def driven(recogniser):
     for number, station in enumerate(STATIONS):
         await world.use_cases.posting.post(TENANT, submap(f"s{number}", station, SESSION))
         world.work_off(recogniser)
+    await world.use_cases.sessions.finish(TENANT, SESSION)
+    world.work_off(recogniser)
     submaps = world.context.transactions.read(lambda uow: uow.submaps.find(TENANT)).result()
     loops = world.context.transactions.read(lambda uow: uow.loops.find(TENANT)).result()
     ordinal = {one.number: one.ordinal for one in submaps}

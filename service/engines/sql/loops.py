@@ -49,13 +49,12 @@ def _reasons() -> Select[Any]:
 
 @cache
 def _telling(sees_all: bool) -> Select[Any]:
-    """Accepted loops of the `queries`, and those rejected for one of `its_reasons`.
+    """Accepted loops of the `queries`, and those that are not accepted for one of `its_reasons`.
 
     The tenant is made an expression, which no index holds: else the engine looks through all loops of the tenant.
     """
     loops, queries = tables.loops.c, BindParameter[Any]("queries", expanding=True)
     reasons = BindParameter[Any]("its_reasons", expanding=True)
-    rejected = and_(loops.state == LoopState.REJECTED.value, loops.reason.in_(reasons))
-    of_tenant = loops.tenant.concat("") == bindparam("its_tenant")
-    where = and_(loops.query_number.in_(queries), of_tenant, or_(loops.state == LoopState.ACCEPTED.value, rejected))
+    of_tenant, accepted = loops.tenant.concat("") == bindparam("its_tenant"), loops.state == LoopState.ACCEPTED.value
+    where = and_(loops.query_number.in_(queries), of_tenant, or_(accepted, loops.reason.in_(reasons)))
     return select(tables.loops).where(where, seen(tables.loops, sees_all)).order_by(loops.query_number, loops.number)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from revisit.core.config import LoopConfig
+from revisit.service.domain.events import AWAITS_CHAIN
 from revisit.service.domain.records import SessionRecord
 from revisit.service.domain.states import SessionState, SubmapState
 from revisit.service.features.catalogue.storeys import comparable_sessions
@@ -48,7 +49,7 @@ def why_no_loops(uow: UnitOfWork, session: SessionRecord, config: LoopConfig) ->
     if not any(uow.submaps.count(session.tenant, **of_session, state=state.value) for state in once):
         return NoLoops(NOT_DESCRIBED, f"{_submaps(count)}, none of which could be described")
     reasons = _reasons(uow, session)
-    if None in reasons:
+    if None in reasons or AWAITS_CHAIN in reasons:
         return None
     if not reasons:
         return NoLoops(NOTHING_TO_COMPARE, f"{_submaps(count)}: {_nothing_to_compare(uow, session, config)}")

@@ -23,7 +23,9 @@ from revisit.service.features.catalogue.no_loops import NoLoops, why_no_loops
 from revisit.service.features.catalogue.odometry_findings import SessionFinding, odometry_findings
 from revisit.service.features.deletion.erasure import Erasure
 from revisit.service.features.deletion.rows import mark_session
+from revisit.service.features.graph.posting import optimise_soon
 from revisit.service.features.ingest.window_submaps import add_window_submap, remainder
+from revisit.service.features.loops.waiting import accept_decided
 from revisit.service.features.resources.call_context import CallContext
 from revisit.service.features.resources.paging import Page, PageRequest
 from revisit.service.ports.storage import (
@@ -115,6 +117,7 @@ class Sessions:
         return closed
 
     def _finish(self, uow: UnitOfWork, tenant: TenantId, key: SessionKey) -> SessionView:
+        require_map(uow, tenant, key.map_id, hold=True)  # as all that accept loops do, and first
         session, now_ns = require_session(uow, tenant, key, hold=True), self._context.clock.wall_ns()
         if session.state == SessionState.FINISHED:
             return self._whole(uow, session)
@@ -123,6 +126,8 @@ class Sessions:
             _, session = add_window_submap(uow, self._context.jobs, session, rest, now_ns)
         finished = replace(session, state=SessionState.FINISHED.value, finished_at_ns=now_ns)
         uow.sessions.replace(finished)
+        if accept_decided(uow, tenant, key, now_ns):
+            optimise_soon(uow, tenant, key.map_id, self._context.policy, now_ns)
         return self._whole(uow, finished)
 
     async def delete(self, tenant: TenantId, key: SessionKey) -> None:

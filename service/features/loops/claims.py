@@ -60,6 +60,9 @@ _RULES = ("thresholds", "thresholds_version")
 _JUDGED = ("doubts", "support")
 """Members of the evidence of a stored loop that a new judgement replaces as a whole."""
 
+_OF_PASSED_PAIRS = RejectionReason.AMBIGUOUS, RejectionReason.AWAITS_CHAIN
+"""Reasons of pairs that passed every check by themselves, if doubts say why they are no loops."""
+
 _MOST_MATCHES = 1000
 
 
@@ -100,12 +103,12 @@ def drive_before(uow: UnitOfWork, submap: SubmapRecord, config: PipelineConfig) 
 
 
 def _says(loop: LoopRecord) -> bool:
-    """Whether a stored loop says anything of a pose: accepted and no outlier, ambiguous, or of a low score there."""
+    """Whether a stored loop says anything of a pose: accepted and no outlier, or of a reason that tells."""
     if loop.T_match_query is None:
         return False
     if loop.state == LoopState.ACCEPTED:
         return loop.graph_state != GraphState.SET_ASIDE
-    return loop.state == LoopState.REJECTED and loop.reason in TELLING
+    return loop.reason in TELLING
 
 
 def claim_of_row(loop: LoopRecord, query: SubmapRecord, match: SubmapRecord) -> LoopClaim:
@@ -116,7 +119,7 @@ def claim_of_row(loop: LoopRecord, query: SubmapRecord, match: SubmapRecord) -> 
     if accepted and support is None:
         doubts = {}
     verdict: PairVerdict
-    if accepted or (doubts and loop.reason == RejectionReason.AMBIGUOUS):
+    if accepted or (doubts and loop.reason in _OF_PASSED_PAIRS):
         verdict = VerifiedLoop(_measurement_from(loop))
     else:
         verdict = RejectedLoop(RejectionReason(str(loop.reason)), _measurement_from(loop))
@@ -125,6 +128,8 @@ def claim_of_row(loop: LoopRecord, query: SubmapRecord, match: SubmapRecord) -> 
 
 def loop_state(claim: LoopClaim) -> LoopState:
     """The state of the row of a claim."""
+    if claim.waits:
+        return LoopState.PROPOSED
     return LoopState.ACCEPTED if claim.accepted else LoopState.REJECTED
 
 
@@ -149,6 +154,13 @@ def revised_evidence(stored: Evidence, claim: LoopClaim, rules: VerificationConf
         measured = {name: value for name, value in measured.items() if name not in _RULES}
     kept = {name: value for name, value in stored.items() if name not in _JUDGED}
     return {**kept, **measured, **_judgement(claim)}
+
+
+def evidence_without_waiting(stored: Evidence) -> Evidence:
+    """The evidence of a stored loop that waited for its chain, once that has decided for it."""
+    doubts = {name: grounds for name, grounds in stored["doubts"].items() if name != Doubt.AWAITS_CHAIN}
+    kept = {name: value for name, value in stored.items() if name != "doubts"}
+    return {**kept, "doubts": doubts} if doubts else kept
 
 
 def verdict_evidence(verdict: PairVerdict, rules: VerificationConfig) -> Evidence:

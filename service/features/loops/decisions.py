@@ -11,7 +11,8 @@ from revisit.core.geometry import se3
 from revisit.core.geometry.se3 import Matrix4, pose_row
 from revisit.service.domain.callers import current_actor
 from revisit.service.domain.errors import AlreadyExists, NotReady
-from revisit.service.domain.identity import SubmapKey, TenantId, content_hash, validated_note
+from revisit.service.domain.events import AWAITS_CHAIN
+from revisit.service.domain.identity import SessionKey, SubmapKey, TenantId, content_hash, validated_note
 from revisit.service.domain.records import JobRecord, LoopEventRecord, LoopRecord, SubmapRecord
 from revisit.service.domain.states import LoopEventKind, LoopState, OperationKind, SubmapState
 from revisit.service.features.audit import calls as audit
@@ -19,6 +20,7 @@ from revisit.service.features.graph.edits import note_edit
 from revisit.service.features.graph.posting import optimise_soon
 from revisit.service.features.loops.calls import LoopClosureView, loop_seen, require_loop
 from revisit.service.features.loops.rows import Change, add_loop, before_last_decision, change_loop
+from revisit.service.features.loops.waiting import accept_decided
 from revisit.service.features.resources.call_context import CallContext
 from revisit.service.features.resources.paging import Page, PageRequest, as_it_is
 from revisit.service.ports.storage import require_descriptor, require_job, require_map, require_submap
@@ -106,6 +108,9 @@ class LoopDecisions:
         if fields["state"] == loop.state and change.kind is not LoopEventKind.REVERTED:
             return loop_seen(uow, loop)
         changed = change_loop(uow, loop, change, graph_state=None, **fields)
+        if changed.reason == AWAITS_CHAIN:
+            accept_decided(uow, tenant, SessionKey(map_id, changed.query_session_id), change.at_ns)
+            changed = require_loop(uow, tenant, map_id, loop_id)
         entry = audit.noted(tenant, f"loop_{change.kind.lower()}", f"maps/{map_id}/loopClosures/{loop_id}")
         audit.append(uow, change.at_ns, entry)
         note_edit(uow, tenant, map_id)

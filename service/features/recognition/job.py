@@ -153,8 +153,7 @@ class SubmapDescriptionJob:
         kept, revised = self._judged(query, recalled, config)
         commit = LoopCommit(context.policy, lease, query, kept, revised, context.clock.wall_ns())
         failpoint("job.before_commit")
-        context.transactions.write(commit).result()
-        if revised or any(one.claim.accepted for one in kept):
+        if context.transactions.write(commit).result():
             self._early.update(query.map.tenant, query.map.map_id)
 
     def _judged(

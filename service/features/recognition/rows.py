@@ -10,15 +10,17 @@ from revisit.core.acceptance import LoopClaim
 from revisit.core.config import VerificationConfig
 from revisit.core.errors import DescriptorModelMismatch
 from revisit.core.geometry.se3 import pose_row
+from revisit.service.domain.identity import SessionKey
 from revisit.service.domain.policy import Policy
 from revisit.service.domain.records import LoopRecord, MapRecord, SubmapRecord
 from revisit.service.domain.states import LoopEventKind, LoopState
 from revisit.service.failpoints import failpoint
 from revisit.service.features.deletion.rows import SUBMAP_DELETED
+from revisit.service.features.graph.edits import note_edit
 from revisit.service.features.graph.posting import optimise_soon
 from revisit.service.features.index.place_memory import RecalledPlace
 from revisit.service.features.ingest.rows import SubmapSource
-from revisit.service.features.loops.claims import kept_evidence, loop_state, revised_evidence, rules_of
+from revisit.service.features.loops.claims import kept_evidence, loop_state, revised_evidence, rules_of, station
 from revisit.service.features.loops.rows import (
     Change,
     LoopStanding,
@@ -26,6 +28,7 @@ from revisit.service.features.loops.rows import (
     change_loop,
     decided_by_person,
 )
+from revisit.service.features.loops.waiting import WAITING, Reached, accept_decided
 from revisit.service.ports.blobs import Blob
 from revisit.service.ports.job_queue import Lease
 from revisit.service.ports.recogniser import SubmapDescription
@@ -114,7 +117,10 @@ class Entry:
 
 @dataclass(frozen=True)
 class LoopCommit:
-    """The transaction that ends a description; `revised` are earlier loops that this one's loops decide."""
+    """The transaction that ends a description; `revised` are earlier loops that this one's loops decide.
+
+    Loops that have waited for this submap are accepted.
+    """
 
     policy: Policy
     lease: Lease
@@ -123,33 +129,50 @@ class LoopCommit:
     revised: list[RevisedLoop]
     now_ns: int
 
-    def __call__(self, uow: UnitOfWork) -> None:
-        """Commit. Raises StaleLease where another worker holds the job."""
+    def __call__(self, uow: UnitOfWork) -> bool:
+        """Commit; whether other loops are accepted since. Raises StaleLease where another worker holds the job."""
         own = self.query.submap
-        if self.revised or any(item.claim.accepted for item in self.judged):
+        of_session = {"map_id": own.map_id, "query_session_id": own.session_id}
+        if self._passed or self.revised or uow.loops.count(own.tenant, **of_session, **WAITING):
             uow.maps.get(own.tenant, own.map_id, hold=True)
         uow.queue.require(self.lease)
         stored = uow.submaps.found(own.tenant, [own.number, *(item.place.submap.number for item in self.judged)])
         if own.number not in stored:
             self._end(uow, SUBMAP_DELETED)
-            return
+            return False
         present = [item for item in self.judged if item.place.submap.number in stored]
         loops = [self._loop(item) for item in present]
         add_loops(uow, [(loop, self._verified(loop.evidence)) for loop in loops])
         uow.submaps.revise([own], searched=True)
         accepted = sum(item.claim.accepted for item in present)
-        if accepted + sum(self._revise(uow, loop) for loop in self.revised):
+        waiting = sum(item.claim.waits for item in present)
+        others = accepted + sum(self._revise(uow, loop) for loop in self.revised) + self._decided(uow)
+        if others:
             optimise_soon(uow, own.tenant, own.map_id, self.policy, self.now_ns)
         failpoint("merge.after_loops")
         timings = {stage: round(seconds, 4) for stage, seconds in self.query.timings_s.items()}
-        result = {"submap": own.key.name, "loops_accepted": accepted}
-        self._end(uow, {**result, "loops_rejected": len(present) - accepted, "timings_s": timings})
+        result = {"submap": own.key.name, "loops_accepted": accepted, "loops_waiting": waiting}
+        self._end(uow, {**result, "loops_rejected": len(present) - accepted - waiting, "timings_s": timings})
+        return others > 0
+
+    @property
+    def _passed(self) -> bool:
+        return any(item.claim.accepted or item.claim.waits for item in self.judged)
+
+    def _decided(self, uow: UnitOfWork) -> int:
+        """Accept the loops of the drive that have waited for this submap; how many."""
+        own, stride_m = self.query.submap, self.policy.for_map(self.query.map).submap.stride
+        session = SessionKey(own.map_id, own.session_id)
+        return accept_decided(uow, own.tenant, session, self.now_ns, Reached(station(own), stride_m))
 
     def _end(self, uow: UnitOfWork, result: dict[str, Any]) -> None:
         uow.queue.complete(self.lease, result)
 
     def _revise(self, uow: UnitOfWork, revised: RevisedLoop) -> bool:
-        """Change the verdict of an earlier loop, if it still has the one that it was read with."""
+        """Change the verdict of an earlier loop, if it still has the one that it was read with.
+
+        Whether it is accepted since, or no longer.
+        """
         known, claim = revised.record, revised.claim
         loop = uow.loops.get(known.tenant, known.map_id, known.loop_id)
         if loop is None or LoopStanding.of(loop) != LoopStanding.of(known) or claim.T_match_query is None:
@@ -157,6 +180,8 @@ class LoopCommit:
         if loop.state == LoopState.ACCEPTED and decided_by_person(uow, loop):
             return False
         evidence = revised_evidence(loop.evidence, claim, self._rules)
+        if loop.state == LoopState.ACCEPTED and not claim.accepted:
+            note_edit(uow, loop.tenant, loop.map_id)  # what was corrected by it is taken back
         change_loop(
             uow,
             loop,
@@ -168,7 +193,7 @@ class LoopCommit:
             evidence=evidence,
             graph_state=loop.graph_state if claim.accepted else None,
         )
-        return True
+        return claim.accepted or loop.state == LoopState.ACCEPTED
 
     @property
     def _rules(self) -> VerificationConfig:

@@ -22,7 +22,7 @@ PAGE = 500
 SCANS_A_PAGE = 2000
 
 AWAITING = ({"state": LoopState.PROPOSED.value}, {"state": LoopState.REJECTED.value, "reason": AMBIGUOUS})
-"""Loops that wait for a person: proposals, and such as were rejected only because other poses fit as well."""
+"""Loops that wait: proposals, for a person or their drive, and such as were rejected only because other poses fit."""
 
 ENDS = ("query_number", "match_number")
 
