@@ -3,7 +3,9 @@
 The modules in the order of the paper:
 
     scan, submap            posed scans over the travelled distance tau_n          III-A
+    scan_planes             scans over the planes that several of them see         beyond the paper
     scan_disagreement       how far the scans of a submap disagree                 beyond the paper
+    odometry_bend           odometry that turns within a submap, straightened      beyond the paper
     implicit_map            elastic neural points and their decoder                III-B, Eq. 1-6
     surface                 mesh, normals and occupancy out of the field           III-C
     clusters                ground removal and fast Euclidean clustering           III-C

@@ -22,6 +22,7 @@ from revisit.core.kernels.plane_votes import plane_scores
 from revisit.core.micro.cluster_normals import describe_clusters
 from revisit.core.micro.saliency import weigh_clusters
 from revisit.core.model_bundle import ModelBundle
+from revisit.core.odometry_bend import odometry_bend
 from revisit.core.place import Place
 from revisit.core.place.extraction import extract_place
 from revisit.core.sanity.ground import place_flags
@@ -50,7 +51,8 @@ class DescribedPlace(DescribedSurface):
     """The description of a submap.
 
     The neural map is in the level frame too; `flags` name what was noticed ("degenerate_plane", "crowded" where it
-    filled more voxels than a neural map may have, and what `place_flags` says).
+    filled more voxels than a neural map may have, "odometry_bends" where `odometry_bend` straightened it, and what
+    `place_flags` says).
     """
 
     neural_map: NeuralMap
@@ -84,10 +86,12 @@ def fit(submap: Submap, models: ModelBundle, config: PipelineConfig, seed: int =
     models.require_fits(config)
     rng = np.random.default_rng(seed)
     level, frame = submap.in_level_frame(config.scene_scale)
+    bend = odometry_bend(level)  # decision 0081
+    level = level if bend is None else bend.straightened(level)
     neural_map = fit_implicit_map(level, models.decoder, config.implicit_map, rng)  # III-B, Eq. 1-6
     flags = ("degenerate_plane",) * is_plane(submap.points)
     flags += place_flags(level.points, config.scene_scale, plane_scores)
-    flags += ("crowded",) * neural_map.crowded
+    flags += ("crowded",) * neural_map.crowded + ("odometry_bends",) * (bend is not None)
     return FittedSubmap(dataclasses.replace(neural_map, frame=frame), flags, scan_disagreement(level), rng)
 
 
