@@ -529,13 +529,19 @@ class VerificationConfig(Section):
     min_observability: float = parameter(0.002, "1", "own", "smallest eigenvalue share of the ICP information", low=0)
     lever: float = parameter(15.0, "m", "own", "lever arm at which rotations are compared with translations")
     min_sigma: float = parameter(0.03, "m", "own", "residuals are trusted no better than this")
-    correlated_points: float = parameter(20.0, "points", "own", "points that share one error")
+    correlated_points: float = parameter(14.0, "points", "own, decision 0081", "points that share one error")
     systematic_horizontal: float = parameter(
-        0.04, "m", "own, decision 0081", "standard deviation along x and y that more points do not lower", low=0
+        0.022, "m", "own, decision 0081", "standard deviation along x and y that more points do not lower", low=0
     )
-    systematic_vertical: float = parameter(0.02, "m", "own, decision 0081", "the same along z", low=0)
+    systematic_vertical: float = parameter(0.011, "m", "own, decision 0081", "the same along z", low=0)
     systematic_tilt: float = parameter(0.1, "deg", "own, decision 0081", "the same about x and y", low=0)
-    systematic_yaw: float = parameter(0.1, "deg", "own, decision 0081", "the same about z", low=0)
+    systematic_yaw: float = parameter(0.055, "deg", "own, decision 0081", "the same about z", low=0)
+    apart_horizontal: float = parameter(
+        0.005, "1", "own, decision 0081", "standard deviation along x and y for each metre between the places", low=0
+    )
+    apart_vertical: float = parameter(0.003, "1", "own, decision 0081", "the same along z", low=0)
+    apart_tilt: float = parameter(0.006, "deg/m", "own, decision 0081", "the same about x and y", low=0)
+    apart_yaw: float = parameter(0.018, "deg/m", "own, decision 0081", "the same about z", low=0)
     systematic_direction: float = parameter(
         0.3,
         "deg",
@@ -544,9 +550,10 @@ class VerificationConfig(Section):
         low=0,
     )
     unshared_shift: float = parameter(
-        0.08, "m", "own, decision 0081", "standard deviation along each axis where half of the surface is common", low=0
+        0.04, "m", "own, decision 0081", "standard deviation along each axis where half of the surface is common", low=0
     )
-    unshared_turn: float = parameter(0.17, "deg", "own, decision 0081", "the same about each axis", low=0)
+    unshared_tilt: float = parameter(0.13, "deg", "own, decision 0081", "the same about x and y", low=0)
+    unshared_yaw: float = parameter(0.09, "deg", "own, decision 0081", "the same about z", low=0)
     unshared_parts: float = parameter(
         2.0, "1", "own, decision 0081", "unshared surface a part of common one beyond which it counts in full", low=0
     )

@@ -184,25 +184,34 @@ def systematic_covariance(
 ) -> NDArray[np.float64]:
     """The covariance (6, 6), in a level frame of a scene scale, of what more points do not make better.
 
-    Poses drift within a submap and surfaces are rounded off (docs/decisions/0081). What is seen from one of two views
-    alone pulls the pose: its share counts by what there is of it for each part of common surface. And a sensor that
-    looks a little beside the direction in which odometry moves it is the farther off the farther the places lie apart
-    (docs/decisions/0081). All of it is the same in metres for any scene scale. Where the `disagreement` of the scans is
-    known, the first two count by it, and the direction is as it says; else all is as large as it was on real drives
-    (docs/decisions/0081). Where little is common, what there is decides, whatever the sensor: that counts in full.
+    Poses drift within a submap and surfaces are rounded off (docs/decisions/0081); what both places share lies the
+    farther from their frames the farther these lie apart. What is seen from one of two views alone pulls the pose: its
+    share counts by what there is of it for each part of common surface. And a sensor that looks a little beside the
+    direction in which odometry moves it is the farther off the farther the places lie apart. All of it is the same in
+    metres for any scene scale. Where the `disagreement` of the scans is known, all but the direction counts by it, and
+    the direction is as it says; else all is as large as it was on real drives. Where little is common, what there is
+    decides, whatever the sensor: that counts in full.
     """
     share = 1.0 if disagreement is None else _systematic_share(disagreement.surface, config)
     horizontal, vertical = config.systematic_horizontal / scale, config.systematic_vertical / scale
     tilt, yaw = np.radians(config.systematic_tilt), np.radians(config.systematic_yaw)
     drift = share * np.array([horizontal, horizontal, vertical, tilt, tilt, yaw])
-    shift, turn = config.unshared_shift / scale, np.radians(config.unshared_turn)
+    apart = share * float(np.linalg.norm(T_match_query[:3, 3])) * _by_metre(scale, config)
+    shift = config.unshared_shift / scale
+    pitch, turn = np.radians(config.unshared_tilt), np.radians(config.unshared_yaw)
     parts = (1.0 - overlap) / max(overlap, _LEAST_OVERLAP)
     pulling = share * min(parts, config.unshared_parts) + max(parts - config.unshared_parts, 0.0)
-    unshared = pulling * np.array([shift, shift, shift, turn, turn, turn])
+    unshared = pulling * np.array([shift, shift, shift, pitch, pitch, turn])
     away, aside = T_match_query[:3, 3], np.zeros((6, 6))
     aside[:3, :3] = away @ away * np.eye(3) - np.outer(away, away)
     direction = np.radians(config.systematic_direction) if disagreement is None else disagreement.askew
-    return np.asarray(np.diag(np.square(drift) + np.square(unshared)) + direction**2 * aside)
+    return np.asarray(np.diag(np.square(drift) + np.square(apart) + np.square(unshared)) + direction**2 * aside)
+
+
+def _by_metre(scale: float, config: VerificationConfig) -> NDArray[np.float64]:
+    """The deviations (6,) for each unit of a scene scale between two places."""
+    tilt, yaw = scale * np.radians(config.apart_tilt), scale * np.radians(config.apart_yaw)
+    return np.array([*[config.apart_horizontal] * 2, config.apart_vertical, tilt, tilt, yaw])
 
 
 def frames_covariance(

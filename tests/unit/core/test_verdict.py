@@ -172,22 +172,28 @@ def test_many_points_do_not_make_a_pose_surer_than_the_submaps_are() -> None:
         verdict = verify(one, one, 1.0, sure)
         assert isinstance(verdict, VerifiedLoop)
         deviations = np.sqrt(np.diag(verdict.measurement.covariance))
-        floor = [0.04, 0.04, 0.02, *np.radians([0.1, 0.1, 0.1])]
+        floor = [0.022, 0.022, 0.011, *np.radians([0.1, 0.1, 0.055])]
         np.testing.assert_allclose(deviations, floor, rtol=1e-3)
 
 
 def test_the_less_is_shared_and_the_farther_apart_the_less_sure_a_loop_is() -> None:
     away = se3.from_yaw(0.3, (10.0, 0.0, 0.0))
     half = np.sqrt(np.diag(systematic_covariance(np.eye(4), 0.5, 1.0, VERIFICATION)))
-    tilt = np.radians(np.hypot(0.1, 0.17))
-    np.testing.assert_allclose(half, [*[np.hypot(0.04, 0.08)] * 2, np.hypot(0.02, 0.08), tilt, tilt, tilt])
+    tilt, yaw = np.radians([np.hypot(0.1, 0.13), np.hypot(0.055, 0.09)])
+    np.testing.assert_allclose(half, [*[np.hypot(0.022, 0.04)] * 2, np.hypot(0.011, 0.04), tilt, tilt, yaw])
     third = np.sqrt(np.diag(systematic_covariance(np.eye(4), 1 / 3, 1.0, VERIFICATION)))
-    assert third[0] == pytest.approx(np.hypot(0.04, 0.16))
+    assert third[0] == pytest.approx(np.hypot(0.022, 0.08))
     aside = np.sqrt(np.diag(systematic_covariance(away, 1.0, 1.0, VERIFICATION)))
     lever = 10.0 * np.radians(0.3)
-    np.testing.assert_allclose(aside[:3], [0.04, np.hypot(0.04, lever), np.hypot(0.02, lever)])
+    along, down = np.hypot(0.022, 10.0 * 0.005), np.hypot(0.011, 10.0 * 0.003)
+    np.testing.assert_allclose(aside[:3], [along, np.hypot(along, lever), np.hypot(down, lever)])
+    turns = np.radians([np.hypot(*of) for of in ((0.1, 0.06), (0.1, 0.06), (0.055, 0.18))])
+    np.testing.assert_allclose(aside[3:], turns)
     in_scene = np.sqrt(np.diag(systematic_covariance(np.eye(4), 0.5, 0.25, VERIFICATION)))
     np.testing.assert_allclose(in_scene, half * [4, 4, 4, 1, 1, 1])
+    away[:3, 3] *= 4.0  # 10 m of a scene of a quarter
+    small = np.sqrt(np.diag(systematic_covariance(away, 1.0, 0.25, VERIFICATION)))
+    np.testing.assert_allclose(small, aside * [4, 4, 4, 1, 1, 1])
 
 
 def test_scans_that_agree_make_a_loop_surer_and_an_askew_sensor_less_sure() -> None:
@@ -206,7 +212,7 @@ def test_what_the_scans_of_one_place_tell_is_not_taken_for_both() -> None:
     agreeing = replace(place(1), scan_disagreement=ScanDisagreement(0.0, 0.0))
     alone, both = (verify(agreeing, other, 1.0, VERIFICATION) for other in (place(1), agreeing))
     assert isinstance(alone, VerifiedLoop) and isinstance(both, VerifiedLoop)
-    assert alone.measurement.covariance[0, 0] > 0.04**2 > 4.0 * both.measurement.covariance[0, 0]
+    assert alone.measurement.covariance[0, 0] > 0.022**2 > 4.0 * both.measurement.covariance[0, 0]
 
 
 def test_what_frames_are_off_by_themselves_adds_to_a_loop_that_both_sides_tell_it_of() -> None:
