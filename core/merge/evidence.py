@@ -23,7 +23,7 @@ class MergeLimits:
 
     loops that agree; the way that they span; rival_share, how many loops a competing alignment may have compared with
     the chosen one; the common points; the median distance of common points from the other's surface; the share of
-    points that may stand where the other looked through.
+    points that may stand where the other looked through, over the whole overlap and over each stretch of it.
     """
 
     loops: int = 3
@@ -32,6 +32,7 @@ class MergeLimits:
     common_points: int = 1_000
     median_residual_m: float = 0.15
     seen_through_share: float = 0.054
+    stretch_share: float = 0.09
 
     def scaled(self, scale: float) -> MergeLimits:
         """The limits of a scene of another size: lengths times `scale`."""
@@ -65,6 +66,7 @@ class MergeEvidence:
     half a resolution of their distance from its surface; seen_through_share is the larger of both directions' shares of
     points, among those near the other's submaps, that it looked through; overlap_share is that of common points among
     the points of the submaps that were compared. changes: from the first group to the second, where they were sought.
+    worst_stretch_share: the largest seen_through_share of a stretch.
     """
 
     common_points: int
@@ -73,6 +75,7 @@ class MergeEvidence:
     seen_through_share: float
     overlap_share: float = 0.0
     changes: tuple[ChangedThing, ...] = ()
+    worst_stretch_share: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -106,5 +109,6 @@ def surfaces_refusal(evidence: MergeEvidence, limits: MergeLimits = MergeLimits(
         (evidence.common_points < limits.common_points, MergeRefusal.OVERLAP_TOO_SMALL),
         (evidence.residual_m > limits.median_residual_m, MergeRefusal.SURFACES_DISAGREE),
         (evidence.seen_through_share > limits.seen_through_share, MergeRefusal.FREE_SPACE_VIOLATED),
+        (evidence.worst_stretch_share > limits.stretch_share, MergeRefusal.FREE_SPACE_VIOLATED),
     )
     return next((reason for holds, reason in reasons if holds), None)

@@ -7,7 +7,7 @@ looked through.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +20,12 @@ from revisit.core.merge.fused import PlacedMap
 
 Array = NDArray[np.float32]
 
+STRETCH_M, STRETCH_PAIRS = 25.0, 3
+"""A stretch of the overlap that is judged by itself: a long one that is alike says nothing of one that differs."""
+
+GAP_M = 50.0
+"""Farther apart than this are submaps of two drives, or of two overlaps of one."""
+
 
 def compare_pairs(pairs: Iterable[tuple[PlacedMap, PlacedMap]]) -> MergeEvidence:
     """The points of each submap of a pair against the field and the free space of the other one.
@@ -27,10 +33,13 @@ def compare_pairs(pairs: Iterable[tuple[PlacedMap, PlacedMap]]) -> MergeEvidence
     Everything rests on neural points: rays are those from the middle of a submap to its points.
     """
     residuals: list[NDArray[np.floating]] = [np.zeros(0)]
-    far, points = [0], 0
-    checked, through = [0, 0], [0, 0]
+    far, points, scale = [0], 0, 1.0
+    counts: list[list[tuple[int, int]]] = []
+    places: list[NDArray[np.float64]] = []
     for pair in pairs:
-        for direction, (one, other) in enumerate((pair, pair[::-1])):
+        counts.append([])
+        places.append(pair[0].T_map_submap[:3, 3])
+        for one, other in (pair, pair[::-1]):
             positions = seen_from(one, other)
             values, nearest = other.neural_map.sdf(positions)
             resolution, scale = other.neural_map.config.resolution, other.neural_map.frame.scale
@@ -39,16 +48,43 @@ def compare_pairs(pairs: Iterable[tuple[PlacedMap, PlacedMap]]) -> MergeEvidence
             far.append(int((common > 0.5 * resolution).sum()))
             points += len(positions)
             seen = _within_view(positions, other)
-            checked[direction] += int(seen.sum())
-            through[direction] += int(looked_through(positions[seen], other).sum())
+            counts[-1].append((int(looked_through(positions[seen], other).sum()), int(seen.sum())))
     distances = np.concatenate(residuals)
+    seen_through = np.reshape(counts, (-1, 2, 2))
     return MergeEvidence(
         len(distances),
         float(np.median(distances)) if len(distances) else float("inf"),
         sum(far) / len(distances) if len(distances) else 1.0,
-        max(part / whole if whole else 0.0 for part, whole in zip(through, checked, strict=True)),
+        _share(seen_through),
         len(distances) / points if points else 0.0,
+        worst_stretch_share=worst_stretch_share(seen_through, np.reshape(places, (-1, 3)), scale),
     )
+
+
+def worst_stretch_share(seen_through: NDArray[np.int64], places: NDArray[np.float64], scale: float = 1.0) -> float:
+    """The largest share of a stretch of pairs whose first submaps lie at `places` (n, 3); see `_share`."""
+    return max((_share(seen_through[some]) for some in _stretches(places, scale)), default=0.0)
+
+
+def _share(seen_through: NDArray[np.int64]) -> float:
+    """The larger of both directions' shares: of counts (n, 2, 2), a pair, a direction, looked through and all."""
+    through, checked = seen_through.sum(axis=0).T
+    return float((through / np.maximum(checked, 1)).max())
+
+
+def _stretches(places: NDArray[np.float64], scale: float) -> Iterator[slice]:
+    """Pairs whose first submaps lie at `places` (n, 3), by all stretches of the way along these.
+
+    Each is STRETCH_M long, or as long as STRETCH_PAIRS pairs are. A gap ends a way.
+    """
+    apart = np.linalg.norm(np.diff(places, axis=0), axis=1)
+    ends = np.flatnonzero(apart > GAP_M * scale) + 1
+    for first, last in zip([0, *ends.tolist()], [*ends.tolist(), len(places)], strict=True):
+        way = np.concatenate([[0.0], np.cumsum(apart[first : last - 1])])
+        for start in range(last - first):
+            end = max(start + STRETCH_PAIRS, int(np.searchsorted(way, way[start] + STRETCH_M * scale)))
+            if end <= last - first:
+                yield slice(first + start, first + end)
 
 
 def pairs_in_reach(

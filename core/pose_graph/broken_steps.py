@@ -20,7 +20,7 @@ from revisit.core.pose_graph.faults import FaultKind, Mending, OdometryFault, st
 from revisit.core.pose_graph.graph import LoopEdge, Node, PoseGraph, Trajectory
 from revisit.core.pose_graph.least_squares import graduated, minimise
 from revisit.core.pose_graph.normal_equations import Edges
-from revisit.core.pose_graph.support import STRETCH, votes
+from revisit.core.pose_graph.support import STRETCH, joined_stretches, votes
 
 Array64 = NDArray[np.float64]
 
@@ -115,7 +115,7 @@ class _Held:
         kept = tuple(one for one, its in zip(asked, holds[len(steps) :], strict=True) if its)
         by_session = np.split(poses, np.cumsum([len(one) for one in tracks])[:-1])
         named = {one.session: its for one, its in zip(tracks, by_session, strict=True)}
-        counts = votes(np.unique([_place_of(one) for one in asked], axis=0, return_inverse=True)[1].ravel())
+        counts = votes(joined_stretches(asked))
         explained = float(np.average(holds[len(steps) :], weights=counts))
         return cls(tracks, named, ~holds[: len(steps)], kept, explained)
 
@@ -128,12 +128,6 @@ class _Held:
         """The submaps (n,) of a session at which loops end that hold, each as often as loops end there."""
         nodes = [node for one in self.loops for node in (one.match, one.query) if node.session == session]
         return np.array([node.ordinal for node in nodes], dtype=np.int64)
-
-
-def _place_of(loop: LoopEdge) -> tuple[str, str, str, str]:
-    """The two stretches that a loop joins, whichever is its match."""
-    one, other = sorted((node.session, node.ordinal // STRETCH) for node in (loop.match, loop.query))
-    return one[0], str(one[1]), other[0], str(other[1])
 
 
 def _odd(track: Trajectory) -> NDArray[np.bool_]:

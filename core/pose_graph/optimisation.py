@@ -21,8 +21,8 @@ from revisit.core.pose_graph.least_squares import ROUGHLY, Kernel, cauchy, gradu
 from revisit.core.pose_graph.normal_equations import Edges, Factorisation
 from revisit.core.pose_graph.placement import Component, place_sessions
 from revisit.core.pose_graph.steady_faults import steady_faults
-from revisit.core.pose_graph.support import LoopsWithin, supported_loops
-from revisit.core.pose_graph.variance_factor import rescaled, variance_factor
+from revisit.core.pose_graph.support import LoopsWithin, joined_stretches, supported_loops
+from revisit.core.pose_graph.variance_factor import LEAST, rescaled, variance_factor
 
 Array64 = NDArray[np.float64]
 
@@ -39,6 +39,9 @@ MAX_MENDINGS = 3
 
 FAULT_PRICE = 2 * GATE
 """The least that a fault of odometry must explain: as much as two loops that are set aside."""
+
+LEAST_PLACES, FIT_SLACK = 10, 5.0
+"""Places that say, at least, that a graph fits better than it states; and how many times better it may."""
 
 MAX_VOUCHED = 100
 """Loops, at most, that are held against the covariances of the poses."""
@@ -177,12 +180,12 @@ def _judged(graph: PoseGraph, robustness: Robustness, progress: Callable[[int, i
     for done, component in enumerate(components):
         progress(done, len(components))
         problem = Problem.of(graph, component, trusted)
-        solution, kept = _solve(problem, robustness)
+        judging, solution, kept = _solve(problem, robustness)
         covariances.update(problem.by_session(problem.covariances(solution, kept)))
         chi2 += problem.squared_errors(solution, kept)
         degrees_of_freedom += problem.degrees_of_freedom(kept)
         poses.update(problem.by_session(solution))
-        for number, residual in zip(problem.loops, problem.residuals(solution), strict=True):
+        for number, residual in zip(problem.loops, judging.residuals(solution), strict=True):
             residuals[number] = residual
             states[number] = GraphState.IN_MAP if number in kept else GraphState.SET_ASIDE
     groups = tuple(tuple(one.T_map_odom) for one in components)
@@ -226,7 +229,8 @@ class Problem:
     """A component as arrays: steps first, then loops, between poses in the order of the trajectories, and a start.
 
     loops: numbers in the graph of the loops within the component; trusted: those of them that may be used; edges: the
-    `steps` of odometry, then these loops; anchor: the row of the pose that is held fast; start (n, 4, 4).
+    `steps` of odometry, then these loops; anchor: the row of the pose that is held fast; start (n, 4, 4); places (l,):
+    the number of the place that each of the loops shows; shares (l,): their independent shares.
     """
 
     trajectories: tuple[Trajectory, ...]
@@ -236,6 +240,8 @@ class Problem:
     steps: int
     anchor: int
     start: Array64
+    places: NDArray[np.int64]
+    shares: Array64
 
     @classmethod
     def of(cls, graph: PoseGraph, component: Component, trusted: Trusted) -> Problem:
@@ -249,6 +255,8 @@ class Problem:
             trajectories, tuple(loops), trusted.among(loops), steps.joined(Edges.of_loops(list(loops.values()), rows)),
             len(steps), rows[Node(component.anchor, 0)],
             np.concatenate([component.T_map_odom[one.session] @ one.T_odom_submap for one in trajectories]),
+            joined_stretches(list(loops.values())),
+            np.array([loop.independent_share for loop in loops.values()]),
         )  # fmt: skip
 
     def graph(self, loops: Iterable[int]) -> Edges:
@@ -300,15 +308,37 @@ class Problem:
         return np.concatenate([np.arange(self.steps), some])
 
 
-def _solve(problem: Problem, robustness: Robustness) -> tuple[Array64, set[int]]:
-    """The poses and the loops they rest on."""
+def _solve(problem: Problem, robustness: Robustness) -> tuple[Problem, Array64, set[int]]:
+    """The problem by which loops are judged, as sure as the fit says; the poses, and the loops they rest on."""
     if robustness in (Robustness.PLAIN, Robustness.HUBER, Robustness.GNC):
-        return _compared(problem, robustness)
+        return problem, *_compared(problem, robustness)
+    answers = _answers(problem, robustness)
+    factor = min(_fitted_factor(problem, *answer) for answer in answers)
+    if factor < 1.0:
+        problem = replace(problem, edges=problem.edges.weighted(np.full(len(problem.edges), 1.0 / factor)))
+        answers = _answers(problem, robustness)
+    return problem, *min(answers, key=lambda answer: _cost(problem, *answer))
+
+
+def _answers(problem: Problem, robustness: Robustness) -> list[tuple[Array64, set[int]]]:
+    """Poses and the loops they rest on, in one way or two."""
     poses, kept = _by_gates(problem)
     answers = [_regated(problem, poses)]
     if robustness is Robustness.COMMIT and not _fits_throughout(problem, *answers[0]):
         answers.append(_regated(problem, _graduated(problem, set(problem.trusted.first | kept))))
-    return min(answers, key=lambda answer: _cost(problem, *answer))
+    return answers
+
+
+def _fitted_factor(problem: Problem, poses: Array64, kept: set[int]) -> float:
+    """The factor for all covariances by how well the answer fits: 1 unless that is far better than they state.
+
+    Wrong loops are within the gates of a graph that states a hundred times its errors, and bend it by these.
+    """
+    heard = np.isin(problem.loops, list(kept))
+    if len(np.unique(problem.places[heard])) < LEAST_PLACES:
+        return 1.0
+    expected = 6.0 * (problem.shares[heard].sum() - len(problem.trajectories) + 1)
+    return float(np.clip(FIT_SLACK * problem.squared_errors(poses, kept) / expected, LEAST, 1.0))
 
 
 def _fits_throughout(problem: Problem, poses: Array64, kept: set[int]) -> bool:

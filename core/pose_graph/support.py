@@ -7,6 +7,7 @@ And a robot that comes back to a road sees it over many submaps: a right loop ha
 from __future__ import annotations
 
 import itertools
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -141,6 +142,13 @@ def places(circles: Circles, rows: NDArray[np.int64]) -> NDArray[np.int64]:
     has one vote. A run is counted from its own beginning, so that a short one is never two places.
     """
     return _places(circles, rows, _beside(circles, rows))
+
+
+def joined_stretches(loops: Sequence[LoopEdge]) -> NDArray[np.int64]:
+    """The number (n,) of the two stretches that each loop joins, whichever is its match: a place in any graph."""
+    keys = [sorted((node.session, node.ordinal // STRETCH) for node in (one.match, one.query)) for one in loops]
+    numbers: dict[tuple[tuple[str, int], ...], int] = {}
+    return np.array([numbers.setdefault(tuple(key), len(numbers)) for key in keys], dtype=np.int64)
 
 
 def votes(places: NDArray[np.int64]) -> Array64:

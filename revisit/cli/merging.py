@@ -157,6 +157,7 @@ def _show(result: dict[str, Any]) -> None:
             ("overlap", f"{evidence['overlap_share']:.2f}", ""),
             ("distance from the surface m", _number(evidence["residual_m"]), f"<= {limits['median_residual_m']:g}"),
             ("looked through", f"{evidence['seen_through_share']:.4f}", f"<= {limits['seen_through_share']:g}"),
+            ("in the worst stretch", f"{evidence['worst_stretch_share']:.4f}", f"<= {limits['stretch_share']:g}"),
         ]
     emit_table(f"{result['source']}: {result['verdict']}", ("evidence", "found", "needed"), rows)
     changed = result["would_change"]

@@ -475,6 +475,8 @@ class RefusedJoin(Resource):
     """Median distance of these points from the other surface, metres; absent without any."""
     seen_through_share: float = 0.0
     """Share of the points, 0 to 1, that stand where the other side looked through."""
+    worst_stretch_share: float = 0.0
+    """The largest such share of a stretch of 25 m."""
 
 
 @dataclass(frozen=True, kw_only=True)

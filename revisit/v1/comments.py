@@ -411,6 +411,7 @@ COMMENTS = {
     'revisit.v1.RefusedJoin.residual_m': 'Median distance of these points from the other surface, metres; absent without any.',
     'revisit.v1.RefusedJoin.seen_through_share': 'Share of the points, 0 to 1, that stand where the other side looked through.',
     'revisit.v1.RefusedJoin.sessions': 'maps/{map}/sessions/{session}, of one side.',
+    'revisit.v1.RefusedJoin.worst_stretch_share': 'The largest such share of a stretch of 25 m.',
     'revisit.v1.RejectLoopClosureRequest.name': 'maps/{map}/loopClosures/{loop_closure}',
     'revisit.v1.RelocaliseAnswer': 'What the scans so far tell.',
     'revisit.v1.RelocaliseAnswer.State.PLACED': 'One pose: an accepted pair says it, and no other holds beside it.',

@@ -60,7 +60,7 @@ class MapVersionSummary(_message.Message):
     def __init__(self, sessions: _Optional[int] = ..., submaps: _Optional[int] = ..., frames: _Optional[int] = ..., loops_in_map: _Optional[int] = ..., loops_set_aside: _Optional[int] = ..., loops_unconnected: _Optional[int] = ..., chi2: _Optional[float] = ..., degrees_of_freedom: _Optional[int] = ..., mean_change_m: _Optional[float] = ..., max_change_m: _Optional[float] = ..., refused_joins: _Optional[_Iterable[_Union[RefusedJoin, _Mapping]]] = ..., odometry_faults: _Optional[_Iterable[_Union[_session_pb2.OdometryFault, _Mapping]]] = ...) -> None: ...
 
 class RefusedJoin(_message.Message):
-    __slots__ = ("sessions", "other_sessions", "reason", "loops", "common_points", "residual_m", "seen_through_share")
+    __slots__ = ("sessions", "other_sessions", "reason", "loops", "common_points", "residual_m", "seen_through_share", "worst_stretch_share")
     SESSIONS_FIELD_NUMBER: _ClassVar[int]
     OTHER_SESSIONS_FIELD_NUMBER: _ClassVar[int]
     REASON_FIELD_NUMBER: _ClassVar[int]
@@ -68,6 +68,7 @@ class RefusedJoin(_message.Message):
     COMMON_POINTS_FIELD_NUMBER: _ClassVar[int]
     RESIDUAL_M_FIELD_NUMBER: _ClassVar[int]
     SEEN_THROUGH_SHARE_FIELD_NUMBER: _ClassVar[int]
+    WORST_STRETCH_SHARE_FIELD_NUMBER: _ClassVar[int]
     sessions: _containers.RepeatedScalarFieldContainer[str]
     other_sessions: _containers.RepeatedScalarFieldContainer[str]
     reason: str
@@ -75,7 +76,8 @@ class RefusedJoin(_message.Message):
     common_points: int
     residual_m: float
     seen_through_share: float
-    def __init__(self, sessions: _Optional[_Iterable[str]] = ..., other_sessions: _Optional[_Iterable[str]] = ..., reason: _Optional[str] = ..., loops: _Optional[int] = ..., common_points: _Optional[int] = ..., residual_m: _Optional[float] = ..., seen_through_share: _Optional[float] = ...) -> None: ...
+    worst_stretch_share: float
+    def __init__(self, sessions: _Optional[_Iterable[str]] = ..., other_sessions: _Optional[_Iterable[str]] = ..., reason: _Optional[str] = ..., loops: _Optional[int] = ..., common_points: _Optional[int] = ..., residual_m: _Optional[float] = ..., seen_through_share: _Optional[float] = ..., worst_stretch_share: _Optional[float] = ...) -> None: ...
 
 class SubmapPose(_message.Message):
     __slots__ = ("submap", "t_map_submap", "frame", "covariance")

@@ -105,7 +105,14 @@ class MergeProposal:
         }
         if self.surfaces is None:
             return found
-        names = ("common_points", "overlap_share", "residual_m", "far_share", "seen_through_share")
+        names = (
+            "common_points",
+            "overlap_share",
+            "residual_m",
+            "far_share",
+            "seen_through_share",
+            "worst_stretch_share",
+        )
         return _plain({**found, **{name: getattr(self.surfaces, name) for name in names}})
 
     def _would_change(self) -> dict[str, Any]:

@@ -219,6 +219,7 @@ def _stored(task: MapTask, join: RefusedJoin) -> dict[str, Any]:
         "loops": join.loops,
         "common_points": found.common_points,
         "seen_through_share": found.seen_through_share,
+        "worst_stretch_share": found.worst_stretch_share,
         **measured,
     }
 

@@ -10,9 +10,16 @@ import pytest
 
 from revisit.core.geometry import se3
 from revisit.core.merge.candidates import _standardised, joining_candidates
-from revisit.core.merge.evidence import JoiningLoops, MergeLimits, MergeRefusal, loops_refusal
+from revisit.core.merge.evidence import (
+    JoiningLoops,
+    MergeEvidence,
+    MergeLimits,
+    MergeRefusal,
+    loops_refusal,
+    surfaces_refusal,
+)
 from revisit.core.merge.joining import joining_loops
-from revisit.core.merge.overlap import pairs_in_reach
+from revisit.core.merge.overlap import pairs_in_reach, worst_stretch_share
 from revisit.core.pose_graph.graph import LoopEdge, PoseGraph
 from revisit.core.pose_graph.optimisation import optimise
 from tests.support.made_up_fleet import fleet
@@ -126,3 +133,32 @@ def test_submaps_are_compared_with_their_neighbours_over_the_whole_overlap():
     some = pairs_in_reach(line, line, 25.0, most=10)
     assert len(some) == 10 and some[0][0] == 0 and some[-1][0] == 99
     assert pairs_in_reach(line, line + [0, 900.0, 0], 25.0) == []
+
+
+def overlap(*stretches: tuple[int, float]) -> tuple[np.ndarray, np.ndarray]:
+    """Counts (n, 2, 2) of points and places (n, 3) of pairs 5 m apart: so many, of which each looks through a share."""
+    shares = np.concatenate([np.full(pairs, share) for pairs, share in stretches])
+    counts = np.stack([np.stack([np.round(1000 * shares), np.full(len(shares), 1000)], axis=1)] * 2, axis=1)
+    return counts.astype(np.int64), np.arange(len(shares))[:, None] * [5.0, 0.0, 0.0]
+
+
+@pytest.mark.parametrize("before", [9, 18, 60])
+def test_a_short_stretch_that_differs_is_refused_however_long_the_one_that_is_alike(before: int) -> None:
+    counts, places = overlap((before, 0.001), (6, 0.14), (before, 0.001))
+    whole = float(counts[:, 0, 0].sum() / counts[:, 0, 1].sum())
+    evidence = MergeEvidence(5_000, 0.02, 0.01, whole, worst_stretch_share=worst_stretch_share(counts, places))
+    assert whole < MergeLimits().seen_through_share
+    assert surfaces_refusal(evidence) is MergeRefusal.FREE_SPACE_VIOLATED
+
+
+def test_one_pair_that_differs_is_no_stretch() -> None:
+    counts, places = overlap((9, 0.01), (1, 0.3), (9, 0.01))
+    assert worst_stretch_share(counts, places) < MergeLimits().stretch_share
+
+
+def test_a_stretch_ends_where_the_way_does() -> None:
+    """Two drives far apart: the last submaps of one and the first of the next are no stretch together."""
+    counts, places = overlap((2, 0.2), (8, 0.01))
+    places[2:] += [400.0, 0.0, 0.0]
+    assert worst_stretch_share(counts, places) == pytest.approx(0.01)
+    assert worst_stretch_share(counts[:0], places[:0]) == 0.0

@@ -567,3 +567,42 @@ def _ring() -> tuple[Edges, np.ndarray]:
     ends = [(n, (n + 1) % 12) for n in range(12)]
     motions = [se3.inverse(_ring_pose(a)) @ _ring_pose(b) @ se3.exp(0.004 * rng.normal(size=6)) for a, b in ends]
     return Edges.of_motions(ends, motions, [0.1**2 * np.eye(6)] * 12), start
+
+
+def laps_of_one_drive(stated: float) -> PoseGraph:
+    """Four laps of one road with a right loop at each submap to one and two laps before, and two wrong loops 2 m off.
+
+    All covariances are `stated` times those of the errors.
+    """
+    rng, submaps = np.random.default_rng(6), 60
+    truth = np.concatenate([road(submaps, 0.0, 1)] * 4)
+    steps = Trajectory.from_odometry("s", drifted(truth, rng), MODEL)
+    ends = [(k, k + gap) for gap in (submaps, 2 * submaps) for k in range(len(truth) - gap)]
+    noise = rng.multivariate_normal(np.zeros(6), LOOP_COVARIANCE, size=len(ends))
+    loops = [
+        LoopEdge(f"right-{n}", Node("s", a), Node("s", b), se3.exp(noise[n]), stated * LOOP_COVARIANCE)
+        for n, (a, b) in enumerate(ends)
+    ]
+    aside = se3.from_yaw(0.0, (2.0, 0.0, 0.0))
+    loops += [
+        LoopEdge(f"wrong-{k}", Node("s", k), Node("s", k + submaps), aside, stated * LOOP_COVARIANCE) for k in (30, 31)
+    ]
+    return PoseGraph.of([replace(steps, step_covariances=stated * steps.step_covariances)], loops)
+
+
+@pytest.mark.parametrize("stated", [1.0, 100.0])
+@pytest.mark.parametrize("robustness", [Robustness.ONLINE, Robustness.COMMIT])
+def test_loops_are_judged_by_how_well_a_graph_fits_where_it_states_far_less(
+    stated: float, robustness: Robustness
+) -> None:
+    graph = laps_of_one_drive(stated)
+    kept = in_map(graph, optimise(graph, robustness).loops)
+    assert not [name for name in kept if name.startswith("wrong")]
+    assert len(kept) >= 0.99 * (len(graph.loops) - 2)
+
+
+def test_a_graph_that_states_its_errors_is_judged_by_these(monkeypatch: pytest.MonkeyPatch) -> None:
+    graph = laps_of_one_drive(1.0)
+    found = optimise(graph, Robustness.COMMIT)
+    monkeypatch.setattr(optimisation, "LEAST_PLACES", len(graph.loops))
+    assert optimise(graph, Robustness.COMMIT).T_map_submap["s"].tobytes() == found.T_map_submap["s"].tobytes()

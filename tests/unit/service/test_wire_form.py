@@ -77,6 +77,7 @@ SUMMARY = {
     "refused_joins": [{
         "sessions": ["maps/town/sessions/a"], "other_sessions": ["maps/town/sessions/b", "maps/town/sessions/c"],
         "reason": "OVERLAP_TOO_SMALL", "loops": 3, "common_points": 0, "seen_through_share": 0.0,
+        "worst_stretch_share": 0.0,
     }],
 }  # fmt: skip
 COVARIANCE = (np.arange(36, dtype=np.float32) / 4).reshape(6, 6)
