@@ -32,7 +32,7 @@ class MergeLimits:
     common_points: int = 1_000
     median_residual_m: float = 0.15
     seen_through_share: float = 0.054
-    stretch_share: float = 0.09
+    stretch_share: float = 0.12
 
     def scaled(self, scale: float) -> MergeLimits:
         """The limits of a scene of another size: lengths times `scale`."""

@@ -27,6 +27,11 @@ Array64 = NDArray[np.float64]
 BROKEN = 40.0
 """Squared Mahalanobis distance of a step that is broken: chi-square with 6 degrees of freedom, one in two millions."""
 
+IN_A_ROW, BENT = 5, 75.0
+"""Steps that share out a broken one where no loop is, and their squared distances together: chi-square with 30 degrees
+of freedom, one in a hundred thousand.
+"""
+
 APART = 3
 """Submaps by which broken steps may be apart to be one fault: noise shifts a part of it to its neighbours."""
 
@@ -83,6 +88,15 @@ def shows_a_fault(loop: LoopEdge, T_map_submap: dict[str, Array64]) -> bool:
     tangent = se3.log(se3.inverse(T_map_match @ loop.T_match_query) @ T_map_query)
     turn, lever_m = float(np.linalg.norm(tangent[3:])), float(np.ptp(T_map_submap[loop.query.session][:, :3, 3]))
     return turn < MOST_RAD and float(np.linalg.norm(tangent[:3])) < MOST_M + turn * lever_m
+
+
+def is_bent(graph: PoseGraph, T_map_submap: dict[str, Array64]) -> bool:
+    """Whether poses (n, 4, 4) of sessions bend steps in a row as only a broken one does: loops need not be lost."""
+    tracks = [one for one in graph.trajectories if one.session in T_map_submap]
+    rows = {Node(one.session, k): n for n, (one, k) in enumerate((one, k) for one in tracks for k in range(len(one)))}
+    steps = Edges.of_steps(tracks, rows)
+    errors = steps.squared_errors(np.concatenate([T_map_submap[one.session] for one in tracks]))
+    return bool((np.convolve(errors, np.ones(IN_A_ROW)) > BENT).any())
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from revisit.core.geometry import se3
-from revisit.core.pose_graph.broken_steps import broken_steps, shows_a_fault
+from revisit.core.pose_graph.broken_steps import broken_steps, is_bent, shows_a_fault
 from revisit.core.pose_graph.consistency import ConsistentSet, consistent_sets
 from revisit.core.pose_graph.faults import Mending, OdometryFault
 from revisit.core.pose_graph.graph import GraphState, Node, PoseGraph, Trajectory
@@ -149,7 +149,7 @@ def _steady(graph: PoseGraph, answer: OptimisedGraph) -> list[Mending]:
 
 
 def _broken(graph: PoseGraph, answer: OptimisedGraph, *, odd: bool = False) -> list[Mending]:
-    """The broken steps of all components, sought where loops are set aside that others support."""
+    """The broken steps of all components, sought where loops are set aside that others support, or a step is bent."""
     supported = supported_loops(graph)
     found: list[Mending] = []
     for group in answer.components:
@@ -157,7 +157,7 @@ def _broken(graph: PoseGraph, answer: OptimisedGraph, *, odd: bool = False) -> l
         inside = [n for n, one in enumerate(graph.loops) if one.match.session in poses and one.query.session in poses]
         kept = {n for n in inside if answer.loops[n] is GraphState.IN_MAP}
         left = {n for n in supported.intersection(inside) - kept if shows_a_fault(graph.loops[n], poses)}
-        if left:
+        if left or is_bent(graph, poses):
             found += broken_steps(graph, kept | left, poses, odd=odd)
     return found
 

@@ -1,4 +1,4 @@
-"""`python -m lab.pose_graphs`: optimisation with wrong loops, and the cost of one loop more."""
+"""`python -m lab.pose_graphs`: optimisation with wrong loops and broken odometry, and the cost of one loop more."""
 
 from __future__ import annotations
 
@@ -51,5 +51,12 @@ def one_loop(
     say(f"{found.distance_m:.3f} m from a whole new optimisation (root mean square)")
 
 
+def broken_odometry(seed: Annotated[int, typer.Option(help="Seed of the drives.")] = 1) -> None:
+    """Two robots on one road, the odometry of one of which goes wrong: what the map makes of it, as a table."""
+    from lab.pose_graphs import broken_odometry as benchmark
+
+    say(benchmark.table(list(benchmark.run(seed=seed))))
+
+
 if __name__ == "__main__":
-    run(wrong_loops, one_loop)
+    run(wrong_loops, one_loop, broken_odometry)

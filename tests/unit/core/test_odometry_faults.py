@@ -147,6 +147,17 @@ def test_a_turn_somewhere_on_a_way_without_loops_is_a_turn() -> None:
     assert fault.amount == pytest.approx(np.radians(20.0), rel=0.1)
 
 
+def test_a_slip_that_bends_the_steps_beside_it_and_costs_no_loop_is_found() -> None:
+    """Without loops for 20 m the steps between take 2 m among them, each far more than it states."""
+    poses, silent = winding_way(), range(AT - 2, AT + 2)
+    slipping = odometry("b", poses, 2, FAULTS["a slip of 2 m"][2])
+    right = [one for one in loops(poses) if one.match.ordinal not in silent]
+    answer = optimise(PoseGraph.of([odometry("a", poses, 1), slipping], right))
+    (fault,) = answer.faults
+    assert (fault.session, fault.kind, fault.first, fault.last) == ("b", FaultKind.SLIP, AT - 1, AT)
+    assert apart_m(answer) < 0.3
+
+
 def misplaced(stretch: range, aside_m: float) -> list[LoopEdge]:
     """Loops at every submap, right ones but for a stretch that is taken for one `aside_m` beside it."""
     poses, aside = winding_way(), se3.from_yaw(0.0, (0.0, aside_m, 0.0))
