@@ -157,7 +157,7 @@ class Relocalisation:
     def _answer(self, view: View) -> RelocalisationAnswer:
         shares, none = self._probabilities()
         told = [(one, share) for one, share in zip(self.state.hypotheses, shares, strict=True) if share >= _TOLD]
-        if not told or none > _MOSTLY_NONE:
+        if not told or none >= shares[0]:
             return self._unknown(self._why(view), view.travelled_m)
         first = self.state.hypotheses[0]
         if self._is_placed(first, none):
@@ -292,5 +292,5 @@ _FORGOTTEN = -9.0
 _RIVAL, _RIVAL_OF_LOOPS = math.log(20.0), math.log(400.0)
 _TOLD = 0.01
 _STANDS_OUT = 0.25
-_MOSTLY_NONE, _HARDLY_NONE = 0.5, 0.1
+_HARDLY_NONE = 0.1
 _ALIKE = 4

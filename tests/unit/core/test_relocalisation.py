@@ -122,6 +122,12 @@ def test_outside_of_the_map_nothing_is_told_and_the_reason_says_so():
     assert answers[-1].none_of_them == 1.0
 
 
+def test_poses_that_are_less_probable_than_none_of_them_are_not_told():
+    faint = [rejected(at(40.0 * n), 0.3, RejectionReason.LOW_SCORE) for n in range(6)]
+    answer = Relocalisation(CONFIG).observe(view(0, faint))
+    assert answer.state is State.UNKNOWN and answer.reason is UnknownReason.NOT_YET
+
+
 def test_a_hall_that_repeats_everywhere_is_told_as_such():
     pairs = [ambiguous(*(at(8.0 * n + 2.0 * k) for n in range(8)), overlap=0.5) for k in range(5)]
     answer = Relocalisation(CONFIG).observe(view(0, pairs))
