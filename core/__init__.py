@@ -19,6 +19,7 @@ The modules in the order of the paper:
     acceptance              which pairs are sought, and which are loops            IV-B, beyond the paper
     pose_graph              consistent loops, robust optimisation                  beyond the paper
     merge                   one map out of several, changes, tiles                 beyond the paper
+    relocalisation          where a robot is, narrowed down view by view           beyond the paper
     pipeline                describe a submap, verify a pair: the stages in order
 
 Beside them: geometry (transforms, frames, voxel keys, the vertical of a cloud), kernels (compiled inner loops), codec
