@@ -95,6 +95,8 @@ def is_bent(graph: PoseGraph, T_map_submap: dict[str, Array64]) -> bool:
     tracks = [one for one in graph.trajectories if one.session in T_map_submap]
     rows = {Node(one.session, k): n for n, (one, k) in enumerate((one, k) for one in tracks for k in range(len(one)))}
     steps = Edges.of_steps(tracks, rows)
+    if not len(steps):
+        return False
     errors = steps.squared_errors(np.concatenate([T_map_submap[one.session] for one in tracks]))
     return bool((np.convolve(errors, np.ones(IN_A_ROW)) > BENT).any())
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -124,5 +125,4 @@ class _FilePlaces:
 
 
 def _row(place: StoredPlace) -> int:
-    assert isinstance(place.key, int)  # every place of this module has the row of its submap
-    return place.key
+    return cast(int, place.key)  # every place of this module has the row of its submap

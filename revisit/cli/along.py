@@ -9,8 +9,6 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
-import numpy as np
-
 from revisit.cli.output import emit_json, say
 from revisit.cli.recordings import opened
 from revisit.cli.submap_names import short_name
@@ -78,7 +76,7 @@ def line_of(answer: Relocalisation) -> str:
 
 
 def _where(pose: RelocalisedPose) -> str:
-    T = pose.T_session_sensor if pose.in_map is None else np.asarray(pose.in_map.T_map)
+    T = pose.T_session_sensor if pose.in_map is None else pose.in_map.T_map
     if T is None:
         return "nowhere"
     frame = short_name(pose.session or "") if pose.in_map is None else pose.in_map.frame
@@ -98,7 +96,7 @@ def _asked_scans(recording: Recording, every_m: float) -> Iterator[Any]:
     travelled_m, asked_m, last = 0.0, -math.inf, None
     for index in range(len(recording)):
         position = recording.pose(index)[:3, 3]
-        travelled_m += 0.0 if last is None else float(np.linalg.norm(position - last))
+        travelled_m += 0.0 if last is None else math.dist(position, last)
         last = position
         if travelled_m - asked_m >= every_m:
             asked_m = travelled_m

@@ -12,7 +12,7 @@ from tests.support.patience import PATIENCE_S
 
 ROOT = Path(__file__).resolve().parents[2]
 MOST = {
-    "open": {"": 29},
+    "open": {"": 30},
     "scan": {
         "service/grpc/": 4,
         "service/wire/": 1,

@@ -6,6 +6,7 @@ import threading
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -168,8 +169,7 @@ class StoredPlaces:
 
 
 def _number(place: StoredPlace) -> int:
-    assert isinstance(place.key, int)  # every place of this module has the number of its submap
-    return place.key
+    return cast(int, place.key)  # every place of this module has the number of its submap
 
 
 def _session_number(uow: UnitOfWork, record: MapRecord, session_id: str) -> int:

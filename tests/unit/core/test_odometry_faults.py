@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from revisit.core.geometry import se3
+from revisit.core.pose_graph.broken_steps import is_bent
 from revisit.core.pose_graph.faults import FaultKind
 from revisit.core.pose_graph.graph import GraphState, LoopEdge, Node, PoseGraph, Trajectory
 from revisit.core.pose_graph.optimisation import OptimisedGraph, optimise
@@ -196,3 +197,10 @@ def test_a_fault_is_the_same_in_any_order_to_a_bit() -> None:
     assert one.faults == other.faults
     for name, its in one.T_map_submap.items():
         assert its.tobytes() == other.T_map_submap[name].tobytes()
+
+
+def test_sessions_of_one_submap_each_are_optimised_and_nothing_is_bent():
+    alone = [Trajectory.from_odometry(name, np.eye(4)[None]) for name in ("a", "b")]
+    graph = PoseGraph(tuple(alone), ())
+    assert not is_bent(graph, {one.session: one.T_odom_submap for one in alone})
+    assert len(optimise(graph).components) == 2

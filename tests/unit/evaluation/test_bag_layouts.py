@@ -202,7 +202,7 @@ def test_registered_clouds_in_a_map_far_from_its_origin_keep_their_millimetres(t
 
 
 REFUSED = {
-    "no odometry": (lambda: Layout().raw("/points", "lidar"), {}, "KISS-ICP"),
+    "no odometry": (lambda: Layout().raw("/points", "lidar"), {}, "--odometry kiss-icp"),
     "no clouds": (lambda: Layout().odometry("/odom", "odom", "base"), {}, "no sensor_msgs/PointCloud2.*nav_msgs"),
     "no such topic": (two_lidars, {"topic": "/left"}, "/front/points, /rear/points"),
     "no such odometry": (two_lidars, {"odometry": "/wheels"}, "topics with poses: /odom"),
