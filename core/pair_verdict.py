@@ -60,13 +60,11 @@ class LoopMeasurement:
     similarity of the descriptors; inliers, keypoints that agree on the first guess of the pose, and inlier_ratio, their
     share of the correspondences; overlap 0..1 of the surfaces; contrast, how much of it is lost a few metres aside;
     seen_through 0..1, the share of a place's structure that the other looked through; rmse_m of the point-to-plane
-    residuals; score 0..1 (`loop_score`), the largest it could be where a check before it was not passed;
+    residuals; score 0..1 (`loop_score`);
     T_match_query (4, 4) maps points of the query submap's frame into the match submap's frame; covariance (6, 6) of its
     tangent (x, y, z, rx, ry, rz), metres and radians, in the match frame; rivals, other poses that fit about as well,
     best first, sought only where no more than a low score speaks against the loop; common_share, how much of what
-    stands in the place with less of it lies where the other has seen, and enough_share, how much was asked for; relief,
-    the share of the overlap that is lost on average a few metres aside in all directions; clearance, the share of the
-    coarse overlap by which the best other pose stays behind, at most 0.15, 0 where it was not sought.
+    stands in the place with less of it lies where the other has seen, and enough_share, how much was asked for.
     """
 
     similarity: float
@@ -82,8 +80,6 @@ class LoopMeasurement:
     rivals: tuple[Hypothesis, ...] = ()
     common_share: float = 0.0
     enough_share: float = 0.0
-    relief: float = 0.0
-    clearance: float = 0.0
 
 
 @dataclass(frozen=True)

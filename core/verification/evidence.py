@@ -16,8 +16,6 @@ from revisit.core.verification.registration import Registration
 Array64 = NDArray[np.float64]
 
 _FEW = 5  # every so many-th point tells about how much a move loses
-_ANGLES = np.arange(8) * np.pi / 4
-_AROUND = np.stack([np.cos(_ANGLES), np.sin(_ANGLES), np.zeros(8)], axis=1)
 _SURE_DEVIATIONS = 2.0  # standard deviations of a share of half of these points, the widest there is
 
 
@@ -29,11 +27,10 @@ class Evidence:
     mean of both directions. rmse_m: of the point-to-plane residuals of the points that do. information (6, 6): of the
     tangent (x, y, z, rx, ry, rz) in the match frame, of unit variance residuals. common: the smaller number of standing
     points in the shared region. contrast: how much of the overlap is lost when the query is moved along the horizontal
-    direction that the surfaces fix least; near 0 where any place along a street or hedge would fit as well. relief: the
-    share of the overlap that is lost on average over moves in eight directions.
+    direction that the surfaces fix least; near 0 where any place along a street or hedge would fit as well.
     seen_through 0..1: the share of structure in either place, as far as the other has looked there, that the other
-    has looked through. Contrast, relief and seen_through have their worst values, 0, 0 and 1, where the registration
-    was given up, or where there is so little overlap that they would decide nothing.
+    has looked through. Contrast and seen_through have their worst values, 0 and 1, where the registration was given up,
+    or where there is so little overlap that they would decide nothing.
     """
 
     overlap: float
@@ -41,7 +38,6 @@ class Evidence:
     information: Array64
     common: int
     contrast: float
-    relief: float
     seen_through: float
 
 
@@ -59,7 +55,6 @@ def gather_evidence(
         information=forward.information,
         common=min(forward.standing, backward.standing),
         contrast=0.0,
-        relief=0.0,
         seen_through=1.0,
     )
     if not registration.refined or overlap < config.min_overlap:  # then it is rejected anyway
@@ -68,7 +63,6 @@ def gather_evidence(
     return replace(
         found,
         contrast=contrast(standing, match, weakest_direction(forward.information), forward.share, config),
-        relief=relief(standing, match, config) / overlap,
         seen_through=mutually_seen_through(T_match_query, query, match, config),
     )
 
@@ -90,13 +84,6 @@ def contrast(
     about = np.array(shared_shares(few, match, shifts, config))
     likely = about >= about.max() - _SURE_DEVIATIONS * 0.5 / np.sqrt(max(len(few.points), 1))
     return here - max(shared_shares(standing, match, shifts[likely], config))
-
-
-def relief(standing: OrientedPoints, match: OrientedPoints, config: VerificationConfig) -> float:
-    """The overlap of the standing query surface, less the mean one of it moved in eight directions: at a few points."""
-    shifts = np.concatenate([np.zeros((1, 3)), *(shift * _AROUND for shift in config.contrast_shifts)])
-    shares = shared_shares(standing.thinned(_FEW), match, shifts, config)
-    return float(shares[0] - np.mean(shares[1:]))
 
 
 def mutually_seen_through(

@@ -50,21 +50,19 @@ def find_rivals(
     query: OrientedPoints,
     match: OrientedPoints,
     config: VerificationConfig,
-    peaks: CoarsePeaks,
     *,
     repeats: bool = True,
 ) -> tuple[Hypothesis, ...]:
     """The poses other than `T_match_query` in which the surfaces overlap nearly as much, best first.
 
     A rival lies farther than `rival_distance` or 10 degrees away, its overlap is at least `rival_share` of that of
-    `T_match_query`, and neither place has looked through more of the other than a loop may; they are sought from
-    `peaks`, those of `coarse_peaks` in this pose. Where there is none and
+    `T_match_query`, and neither place has looked through more of the other than a loop may. Where there is none and
     `repeats`, the poses count by which both places repeat (docs/decisions/0340). Where there is one, other
     poses nearby that fit as well are told, too (docs/decisions/0080): they make no loop ambiguous by themselves.
     """
     search = _Search.around(T_match_query, query, match, config)
     far = _Rule(config.rival_distance, config.rival_reach, config.rival_share)
-    ended = search.ended(peaks.poses, far)
+    ended = search.ended(propose(T_match_query, query, match, config), far)
     rivals = search.refined((), ended, far)
     if not rivals and repeats:
         rivals = search.repeating(ended, far)
@@ -123,7 +121,7 @@ class _Search:
         """The rivals among the `ended` poses, or more of them, to which leads a step by which both places repeat."""
         rivals, config = list[Hypothesis](), self.config
         if self.eased != 1.0:
-            ended = self.ended(coarse_peaks(self.best, self.query, self.match, config, self.eased).poses, rule)
+            ended = self.ended(propose(self.best, self.query, self.match, config, self.eased), rule)
         least = self.eased * _WORTH * self._overlap(self.best) if ended else 0.0
         worth = [one for one in ended if one.overlap >= least]
         own = self.eased * overlap_beside(self.best, self.query, self.match, config) if worth else 0.0
@@ -170,34 +168,23 @@ class _Search:
         return mean_overlap(T_match_query, self.query, self.match, self.few, self.config)
 
 
-@dataclass(frozen=True)
-class CoarsePeaks:
-    """Local maxima of the coarse overlap over shifts and quarter turns of a pose: poses T_match_query, best first.
-
-    clearance: by which share of the overlap in the pose itself the best of them stays behind, negative where it is
-    larger, and at most by what the least of them may.
-    """
-
-    poses: list[se3.Matrix4]
-    clearance: float
-
-
-def coarse_peaks(
+def propose(
     T_match_query: se3.Matrix4,
     query: OrientedPoints,
     match: OrientedPoints,
     config: VerificationConfig,
     eased: float = 1.0,
-) -> CoarsePeaks:
-    """The at most `rival_starts` best maxima. `eased`: the part of `rival_plan_share` that they must reach."""
+) -> list[se3.Matrix4]:
+    """Poses at local maxima of the coarse overlap over shifts and quarter turns, best first; at most `rival_starts`.
+
+    `eased`: the part of `rival_plan_share` that they must reach.
+    """
     pixel, least = config.correlation_pixel, eased * config.rival_plan_share
     standing = se3.apply(T_match_query, query.standing.points)
     plans = _overlap_plans(standing, match.kept(_plan, pixel), least * config.rival_common, pixel)
     shares = plan_shares(plans.hits, plans.seen, config.rival_common * plans.seen[0, 0, 0])
     rows = _peaks(shares, least * shares[0, 0, 0], config.rival_distance / pixel)
-    poses = [_shifted(T_match_query, plans.quarters[row], y, x, pixel) for row, y, x in rows[: config.rival_starts]]
-    best = float(shares[rows[0]] / max(shares[0, 0, 0], 1e-9)) if rows else least
-    return CoarsePeaks(poses, 1.0 - max(best, least))
+    return [_shifted(T_match_query, plans.quarters[row], y, x, pixel) for row, y, x in rows[: config.rival_starts]]
 
 
 def mean_overlap(

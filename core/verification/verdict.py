@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from dataclasses import astuple, dataclass
+from dataclasses import astuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,7 +29,7 @@ from revisit.core.verification.height_doubt import height_doubt_m
 from revisit.core.verification.keypoint_fit import KeypointFit
 from revisit.core.verification.oriented_points import OrientedPoints
 from revisit.core.verification.registration import Registration, observability, reconsider, register
-from revisit.core.verification.rivals import CoarsePeaks, coarse_peaks, find_rivals
+from revisit.core.verification.rivals import find_rivals
 from revisit.core.verification.start import find_start, start_at
 
 
@@ -80,13 +80,12 @@ def _verify_in_order(
     )
     surfaces = OrientedPoints.of(query), OrientedPoints.of(match)
     registration = register(start.poses, *surfaces, config)
-    judged = _judged(registration, start.fit, query, match, similarity, config)
-    other = reconsider(registration, *surfaces, config) if judged.reason in _OF_A_POSE else None
+    measurement, reason = _judged(registration, start.fit, query, match, similarity, config)
+    other = reconsider(registration, *surfaces, config) if reason in _OF_A_POSE else None
     if other is not None:
-        judged = _judged(other, start.fit, query, match, similarity, config)
-    measurement, reason = judged.measurement, judged.reason
-    if judged.peaks is not None and not (initial is not None and initial.authority is Authority.DECIDES):
-        rivals = find_rivals(measurement.T_match_query, *surfaces, config, judged.peaks, repeats=reason is None)
+        measurement, reason = _judged(other, start.fit, query, match, similarity, config)
+    if reason in _WITH_RIVALS and not (initial is not None and initial.authority is Authority.DECIDES):
+        rivals = find_rivals(measurement.T_match_query, *surfaces, config, repeats=reason is None)
         measurement = dataclasses.replace(measurement, rivals=rivals)
         reason = RejectionReason.AMBIGUOUS if rivals else reason
     if reason in _TOLD:
@@ -103,6 +102,9 @@ _OF_A_POSE = (
 )
 """Reasons that a wrong pose has which shares much surface: then the starts that were left out are asked."""
 
+_WITH_RIVALS = (None, RejectionReason.LOW_SCORE)
+"""Verdicts after which other poses that fit are sought. Where a place repeats, little is lost aside: a low score."""
+
 _TOLD = (None, RejectionReason.AMBIGUOUS)
 """Verdicts whose pose is told to others, with its covariance."""
 
@@ -114,19 +116,6 @@ def _doubted(measurement: LoopMeasurement, query: OrientedPoints, match: Oriente
     return dataclasses.replace(measurement, covariance=measurement.covariance + along_z)
 
 
-@dataclass(frozen=True)
-class _Judged:
-    """What is measured of a registration, in the level frames, and the first gate that it does not pass.
-
-    peaks: where other poses are sought, None where a gate before the score was not passed. Where a place repeats,
-    little is lost aside: its score is low, and they are sought, too.
-    """
-
-    measurement: LoopMeasurement
-    reason: RejectionReason | None
-    peaks: CoarsePeaks | None = None
-
-
 def _judged(
     registration: Registration,
     fit: KeypointFit,
@@ -134,32 +123,18 @@ def _judged(
     match: Place,
     similarity: float,
     config: VerificationConfig,
-) -> _Judged:
-    surfaces = OrientedPoints.of(query), OrientedPoints.of(match)
-    evidence = gather_evidence(registration, *surfaces, config)
+) -> tuple[LoopMeasurement, RejectionReason | None]:
+    """What is measured of a registration, in the level frames, and the first gate that it does not pass."""
+    evidence = gather_evidence(registration, OrientedPoints.of(query), OrientedPoints.of(match), config)
     measurement = _measure(fit, registration, evidence, similarity, config)
-    standing = max(min(query.standing_count, match.standing_count), 1)
-    sure_share = min(config.min_common_share, config.min_common_share_sure)
-    least = sure_share if evidence.overlap >= config.sure_overlap else config.min_common_share
-    enough = max(config.min_common, least * standing)
-    reason = _rejection(registration, evidence, enough, config)
-    if reason is not None:
-        return _Judged(_with_shares(measurement, evidence, enough, standing), reason)
-    peaks = coarse_peaks(registration.T_match_query, *surfaces, config)
+    sure = evidence.overlap >= config.sure_overlap and measurement.score >= config.sure_score
+    share = min(config.min_common_share, config.min_common_share_sure) if sure else config.min_common_share
+    standing = min(query.standing_count, match.standing_count)
+    enough = max(config.min_common, share * standing)
     measurement = dataclasses.replace(
-        measurement, clearance=peaks.clearance, score=loop_score(evidence, peaks.clearance)
+        measurement, common_share=evidence.common / max(standing, 1), enough_share=enough / max(standing, 1)
     )
-    if measurement.score < config.sure_score:
-        enough = max(config.min_common, config.min_common_share * standing)
-    measurement = _with_shares(measurement, evidence, enough, standing)
-    if evidence.common < enough:
-        return _Judged(measurement, RejectionReason.NO_COMMON_REGION)
-    return _Judged(measurement, RejectionReason.LOW_SCORE if measurement.score < config.min_score else None, peaks)
-
-
-def _with_shares(measurement: LoopMeasurement, evidence: Evidence, enough: float, standing: int) -> LoopMeasurement:
-    """The measurement with the common share of the `standing` points of the smaller place, and what is enough."""
-    return dataclasses.replace(measurement, common_share=evidence.common / standing, enough_share=enough / standing)
+    return measurement, _rejection(registration, evidence, measurement.score, enough, config)
 
 
 def is_degenerate(place: Place, config: VerificationConfig) -> bool:
@@ -241,20 +216,18 @@ def common_disagreement(query: Place, match: Place) -> ScanDisagreement | None:
     return ScanDisagreement(*np.sqrt(0.5 * np.square(astuple(first)) + 0.5 * np.square(astuple(second))).tolist())
 
 
-def loop_score(evidence: Evidence, clearance: float) -> float:
-    """Evidence to 0..1, with weights from real and simulated pairs of submaps (docs/decisions/0338).
-
-    `clearance` as of `CoarsePeaks`. Residuals that smooth surfaces have, too, are no evidence.
-    """
-    rough_m = max(float(np.sqrt(max(evidence.rmse_m**2 - _SMOOTH_RMSE_M**2, 0.0))), _LEAST_ROUGH_M)
-    features = (1.0, evidence.contrast, evidence.relief, clearance, evidence.seen_through, rough_m)
+def loop_score(overlap: float, contrast: float, seen_through: float, rmse_m: float, inliers: int) -> float:
+    """Evidence to 0..1, with weights from real and simulated pairs of submaps (docs/decisions/0018)."""
+    few = min(np.log(max(inliers, 1) / _ENOUGH_INLIERS), 0.0)
+    features = (1.0, overlap, contrast, seen_through, max(rmse_m, _SHARPEST_RMSE_M), few)
     logit = float(np.dot(_SCORE_WEIGHTS, features))
     return float(1.0 / (1.0 + np.exp(-np.clip(logit, -30.0, 30.0))))
 
 
 _LEAST_OVERLAP = 0.05  # less is no loop
-_SCORE_WEIGHTS = (-3.0, 10.5, 8.0, 20.0, -26.0, -60.0)
-_SMOOTH_RMSE_M, _LEAST_ROUGH_M = 0.1, 0.03
+_SCORE_WEIGHTS = (17.7, -8.0, 40.0, -65.0, -150.0, 1.0)
+_ENOUGH_INLIERS = 12  # keypoints that agree; more are no better evidence
+_SHARPEST_RMSE_M = 0.04  # cleaner surfaces, such as simulated ones, are no better evidence
 
 
 def _measure(
@@ -269,10 +242,9 @@ def _measure(
         inlier_ratio=fit.inliers / max(fit.correspondences, 1),
         overlap=evidence.overlap,
         contrast=evidence.contrast,
-        relief=evidence.relief,
         seen_through=evidence.seen_through,
         rmse_m=evidence.rmse_m,
-        score=loop_score(evidence, 1.0 - config.rival_plan_share),
+        score=loop_score(evidence.overlap, evidence.contrast, evidence.seen_through, evidence.rmse_m, fit.inliers),
         T_match_query=registration.T_match_query,
         covariance=0.5 * (covariance + covariance.T),
     )
@@ -320,9 +292,9 @@ def _inverted(verdict: PairVerdict) -> PairVerdict:
 
 
 def _rejection(
-    registration: Registration, evidence: Evidence, enough: float, config: VerificationConfig
+    registration: Registration, evidence: Evidence, score: float, enough: float, config: VerificationConfig
 ) -> RejectionReason | None:
-    """The first gate before the score that the evidence does not pass, or None where it passes all."""
+    """The first gate that the evidence does not pass, or None where it passes all."""
     tilt = float(np.arccos(np.clip(registration.T_match_query[2, 2], -1.0, 1.0)))
     gates = (
         (evidence.common < enough, RejectionReason.NO_COMMON_REGION),
@@ -334,5 +306,6 @@ def _rejection(
         (evidence.overlap < config.min_overlap, RejectionReason.LOW_OVERLAP),
         (evidence.contrast < config.min_contrast, RejectionReason.DEGENERATE_ALIGNMENT),
         (evidence.seen_through > config.max_seen_through, RejectionReason.SEEN_THROUGH),
+        (score < config.min_score, RejectionReason.LOW_SCORE),
     )
     return next((reason for fails, reason in gates if fails), None)

@@ -224,8 +224,6 @@ def _measurement_from(loop: LoopRecord) -> LoopMeasurement:
         rivals=tuple(Hypothesis(*_hypothesis(one)) for one in stored.get("rivals", ())),
         common_share=_number(stored, "common_share"),
         enough_share=_number(stored, "enough_share"),
-        relief=_number(stored, "relief"),
-        clearance=_number(stored, "clearance"),
     )
 
 
