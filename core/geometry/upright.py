@@ -45,11 +45,17 @@ class UpAxis:
 
     def T_level_cloud(self) -> se3.Matrix4:
         """The smallest rotation (4, 4) that turns the vertical to z."""
-        axis = np.cross(self.up, [0.0, 0.0, 1.0])
-        sine = float(np.linalg.norm(axis))
-        if sine < 1e-9:
-            return np.eye(4)
-        return se3.exp(np.concatenate([np.zeros(3), axis / sine * self.tilt_rad]))
+        return turned_up(self.up)
+
+
+def turned_up(up: Array) -> se3.Matrix4:
+    """The smallest rotation (4, 4) that turns a unit vector (3,) to z; about x where it points down."""
+    axis = np.cross(up, [0.0, 0.0, 1.0])
+    sine = float(np.linalg.norm(axis))
+    if sine < 1e-9 and up[2] > 0.0:
+        return np.eye(4)
+    about = axis / sine if sine >= 1e-9 else np.array([1.0, 0.0, 0.0])
+    return se3.exp(np.concatenate([np.zeros(3), about * float(np.arccos(np.clip(up[2], -1.0, 1.0)))]))
 
 
 def estimate_up(points: NDArray[np.floating], seed: int = 0) -> UpAxis | None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Hashable, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from typing import Protocol
 
@@ -30,12 +30,12 @@ NEAR_M = 8.0
 
 @dataclass(frozen=True)
 class StoredPlace:
-    """A described submap of a map, by any key: where it lies on its drive and in the map.
+    """A described submap of a map, by a number of the map's own: where it lies on its drive and in the map.
 
     A place whose drive has no frame in the map lies in that of its drive, and is not `placed`.
     """
 
-    key: Hashable
+    key: int
     station: Station
     in_map: StationInMap
     placed: bool = True
@@ -129,15 +129,15 @@ class _Starts:
         conversation: Relocalisation,
         T_odom_view: Matrix4,
         stored: Sequence[StoredPlace | None],
-        alike: Collection[Hashable],
+        alike: Collection[int],
     ) -> None:
         self._alike = alike
-        self._poses: dict[Hashable, Matrix4] = {}
+        self._poses: dict[int, Matrix4] = {}
         for place, (_, T_frame_view) in zip(stored, conversation.expected(T_odom_view), strict=False):
             if place is not None and place.key not in self._poses:
                 self._poses[place.key] = se3.inverse(place.in_map.T_map_submap) @ T_frame_view
 
-    def of(self, key: Hashable) -> InitialPose | None:
+    def of(self, key: int) -> InitialPose | None:
         """A place that is alike anyway may lie otherwise than a hypothesis expects: then it is a hint."""
         pose = self._poses.get(key)
         return pose if pose is None else InitialPose(pose, Authority.HINT if key in self._alike else Authority.COMPETES)

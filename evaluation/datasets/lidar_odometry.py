@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from revisit.core.geometry import se3
+from revisit.core.geometry.upright import turned_up
 from revisit.core.sanity.agreement import ScenePair, share_met
 from revisit.core.sanity.ground import ground_plane
 from revisit.core.scan import Points, Scan
@@ -97,16 +98,7 @@ def _finite(points: Points) -> NDArray[np.float64]:
 def _levelled(cloud: NDArray[np.float64]) -> se3.Matrix4:
     """The first pose of the sensor: at the origin, turned by the least that levels the ground of a cloud (n, 3)."""
     plane = ground_plane(cloud)
-    if plane is None:
-        return np.eye(4)
-    axis = np.cross(plane.normal, (0.0, 0.0, 1.0))
-    sine = float(np.linalg.norm(axis))
-    turned = np.zeros(6)
-    if sine > 1e-9:
-        turned[3:] = axis / sine * np.arctan2(sine, plane.normal[2])
-    elif plane.normal[2] < 0.0:
-        turned[3] = np.pi
-    return se3.exp(turned)
+    return np.eye(4) if plane is None else turned_up(plane.normal)
 
 
 def _mean_met(read: Callable[[int], Points], T_odom_sensor: NDArray[np.float64]) -> float:

@@ -63,19 +63,18 @@ class SettingPlaces:
 
     def descriptor(self, place: StoredPlace) -> NDArray[np.float32]:
         """See MapOfPlaces."""
-        return self.setting.known[_row(place)].vector
+        return self.setting.known[place.key].vector
 
     def verify(self, place: StoredPlace, initial: InitialPose | None) -> PairVerdict:
         """See MapOfPlaces."""
-        key = (*self.asked, _row(place))
+        key = (*self.asked, place.key)
         if initial is None and key in self.verdicts:
             return self.verdicts[key]
         self.verifications += 1
-        row = _row(place)
         assert self.view.place is not None
-        similarity = self.similarity.get(row, 0.0)
+        similarity = self.similarity.get(place.key, 0.0)
         rules = self.setting.config.verification
-        found = verify(self.view.place, self.setting.known[row].place, similarity, rules, initial)
+        found = verify(self.view.place, self.setting.known[place.key].place, similarity, rules, initial)
         if initial is None:
             self.verdicts[key] = found
         return found
@@ -83,11 +82,6 @@ class SettingPlaces:
     def _stored(self, row: int) -> StoredPlace:
         station = self.setting.known[row].station
         return StoredPlace(row, station, StationInMap("map", station.T_odom_submap))
-
-
-def _row(place: StoredPlace) -> int:
-    assert isinstance(place.key, int)
-    return place.key
 
 
 def is_right(view: SeenView, T: Matrix4) -> bool:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -111,18 +110,14 @@ class _FilePlaces:
     def verify(self, place: StoredPlace, initial: InitialPose | None) -> PairVerdict:
         """See MapOfPlaces."""
         similarity = float(self.descriptor(place) @ self._view.descriptor.vector)
-        stored = self._method.place(_row(place))
+        stored = self._method.place(place.key)
         return verify(self._view.place, stored, similarity, self._method.config.verification, initial)
 
     def descriptor(self, place: StoredPlace) -> NDArray[np.float32]:
         """See MapOfPlaces."""
-        return np.asarray(self._file.descriptors[_row(place)])
+        return np.asarray(self._file.descriptors[place.key])
 
     def _stored(self, row: int) -> StoredPlace:
         submap = self._file.submaps[row]
         station = Station(self._sessions[submap.session], submap.ordinal, submap.T_odom_submap)
         return StoredPlace(row, station, StationInMap(submap.frame, submap.T_map_submap))
-
-
-def _row(place: StoredPlace) -> int:
-    return cast(int, place.key)  # every place of this module has the row of its submap

@@ -24,10 +24,10 @@ class Trouble(StrEnum):
 class FaultyDisk:
     """Writes and syncs of files below `below` have a trouble, within `failing`; seeded."""
 
-    def __init__(self, below: Path, workplace: Path, seed: int) -> None:
-        """The library and the list of failures are kept in `workplace`. Raises CalledProcessError if cc does."""
-        self._switch, self._log = workplace / "failing", workplace / "failures"
-        self.library = compiled("faulty_disk", workplace)
+    def __init__(self, below: Path, folder: Path, seed: int) -> None:
+        """The library and the list of failures are kept in `folder`. Raises CalledProcessError if cc does."""
+        self._switch, self._log = folder / "failing", folder / "failures"
+        self.library = compiled("faulty_disk", folder)
         self.variables = {
             "FAULTY_DISK_BELOW": str(below),
             "FAULTY_DISK_SWITCH": str(self._switch),

@@ -20,9 +20,9 @@ class Preloaded(Protocol):
     variables: dict[str, str]
 
 
-def compiled(name: str, workplace: Path) -> Path:
-    """The library of `name`.c, in `workplace`. Raises CalledProcessError where cc does."""
-    source, library = Path(__file__).with_name(f"{name}.c"), workplace / f"{name}.so"
+def compiled(name: str, folder: Path) -> Path:
+    """The library of `name`.c, in `folder`. Raises CalledProcessError where cc does."""
+    source, library = Path(__file__).with_name(f"{name}.c"), folder / f"{name}.so"
     subprocess.run([str(COMPILER), *OPTIONS, "-o", str(library), str(source)], check=True)
     return library
 
@@ -37,11 +37,11 @@ def launcher(*libraries: Preloaded) -> tuple[str, ...]:
 class SteppedWallClock:
     """A wall clock that is stepped while processes read it; their monotonic clocks are right."""
 
-    def __init__(self, workplace: Path) -> None:
-        """The library and the step are kept in `workplace`. Raises CalledProcessError if cc does."""
-        self._step = workplace / "clock_step"
+    def __init__(self, folder: Path) -> None:
+        """The library and the step are kept in `folder`. Raises CalledProcessError if cc does."""
+        self._step = folder / "clock_step"
         self._step.write_bytes(struct.pack("q", 0))
-        self.library = compiled("stepped_clock", workplace)
+        self.library = compiled("stepped_clock", folder)
         self.variables = {"STEPPED_CLOCK": str(self._step)}
 
     def step(self, seconds: int) -> None:

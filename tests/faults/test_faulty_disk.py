@@ -67,8 +67,8 @@ def until_it_ends(fleet: Fleet, disk: FaultyDisk) -> Counter[str]:
 @pytest.mark.parametrize("ends", sizes("DISK_FAULTS", QUICK, 200))
 @pytest.mark.timeout(7200)
 def test_on_a_disk_that_fails_now_and_then_every_answer_means_what_it_says(folder, ends):
-    (folder / "workplace").mkdir()
-    home, disk = folder / "home", FaultyDisk(folder / "home", folder / "workplace", seed=20)
+    (folder / "library").mkdir()
+    home, disk = folder / "home", FaultyDisk(folder / "home", folder / "library", seed=20)
     # A worker that meets a failure ends too: its jobs must not run out of attempts, nor the queue out of room.
     patience = {"lease_s": 2, "max_attempts": 1000, "max_queued_jobs": 10**6}
     settled, campaign = Counter(), Campaign("P2", ends)

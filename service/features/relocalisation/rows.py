@@ -6,7 +6,6 @@ import threading
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -108,13 +107,13 @@ class StoredPlaces:
 
     def verify(self, place: StoredPlace, initial: InitialPose | None) -> PairVerdict:
         """See MapOfPlaces."""
-        submap = self._records[_number(place)]
+        submap = self._records[place.key]
         similarity = float(self.descriptor(place) @ self._view.descriptor)
         return self._comparison.verify(self._view.place, RecalledPlace(submap, similarity), self._config, initial)
 
     def descriptor(self, place: StoredPlace) -> NDArray[np.float32]:
         """See MapOfPlaces."""
-        return np.frombuffer(require_descriptor(self._records[_number(place)]), dtype="<f4")
+        return np.frombuffer(require_descriptor(self._records[place.key]), dtype="<f4")
 
     def told(self, pose: PossiblePose) -> ToldPose:
         """A pose as a client sees it."""
@@ -166,10 +165,6 @@ class StoredPlaces:
         self._sessions[frame] = submap.session_number
         own = StationInMap(frame, pose_matrix(submap.T_odom_submap))
         return StoredPlace(submap.number, station(submap), own, placed=False)
-
-
-def _number(place: StoredPlace) -> int:
-    return cast(int, place.key)  # every place of this module has the number of its submap
 
 
 def _session_number(uow: UnitOfWork, record: MapRecord, session_id: str) -> int:
