@@ -7,6 +7,7 @@ import numpy as np
 from revisit.evaluation.datasets.bag_topics import BagTopics
 from revisit.evaluation.datasets.lidar_odometry import KISS_ICP
 from revisit.evaluation.datasets.pairing import Pairing, Relation
+from revisit.evaluation.datasets.placed_clouds import Merged
 from revisit.evaluation.datasets.posed_clouds import Stamps
 from revisit.evaluation.datasets.topic_choice import WantedTopics, doubts
 
@@ -17,11 +18,33 @@ def notes(pairs: list[Pairing], found: BagTopics, wanted: WantedTopics, stamps: 
     The pairs differ in the frame of their clouds alone. `stamps` (n,) are those of the scans, rising.
     """
     first = pairs[0]
-    said = [*_taken(pairs, found, stamps), *_left(first, found)]
+    said = [*_taken(pairs, found, stamps), *_left(first, found, wanted)]
     if files > 1:
         said.append(f"{files} files read as one recording")
     warnings = [*first.warnings, *doubts(first, found, wanted), *_other_frames(pairs, found), *_gaps(pairs, stamps)]
     return (*said, *(f"warning: {warning}" for warning in (*warnings, *_lost(found))))
+
+
+def notes_of_merged(others: list[list[Pairing]], together: Merged, found: BagTopics) -> tuple[str, ...]:
+    """The clouds of other LiDARs in the scans, and how many of them are in none."""
+    said, warnings = [], []
+    scans = len(together.scans.stamps_ns)
+    for pairs, taken, offered in zip(others, together.taken, together.offered, strict=True):
+        topic, frames = pairs[0].clouds.name, ", ".join(pair.clouds.frame for pair in pairs)
+        said.append(f"clouds of {topic} (frame {frames}) are in {taken} of {scans} scans: {pairs[0].why}")
+        left = len(found.clouds[topic].stamps) - taken
+        if left:
+            warnings.append(
+                f"warning: {left} clouds of {topic} were left out: {left - offered + taken} have no pose or no known "
+                f"mounting, {offered - taken} are more than {_ms(together.reach_ns)} from a scan, or another is nearer"
+            )
+    if others:
+        said.append(f"clouds of one scan are at most {_ms(together.apart_ns)} apart, and moved by the poses between")
+    return (*said, *warnings)
+
+
+def _ms(time_ns: int) -> str:
+    return f"{time_ns / 1e6:.0f} ms"
 
 
 def _taken(pairs: list[Pairing], found: BagTopics, stamps: Stamps) -> list[str]:
@@ -46,8 +69,9 @@ def _other_frames(pairs: list[Pairing], found: BagTopics) -> list[str]:
     ]  # fmt: skip
 
 
-def _left(pair: Pairing, found: BagTopics) -> list[str]:
-    clouds, poses = sorted(found.clouds.keys() - {pair.clouds.name}), sorted(found.poses.keys() - {pair.poses})
+def _left(pair: Pairing, found: BagTopics, wanted: WantedTopics) -> list[str]:
+    clouds = sorted(found.clouds.keys() - {pair.clouds.name, *wanted.together})
+    poses = sorted(found.poses.keys() - {pair.poses})
     said = [
         f"not used: {', '.join(names)}; {option} chooses"
         for option, names in (("--topic", clouds), ("--odometry", poses)) if names

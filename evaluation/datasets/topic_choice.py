@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -28,11 +28,12 @@ _PACKETS = ("VelodyneScan", "PacketMsg", "RobosensePacket", "RslidarScan", "Hesa
 
 @dataclass(frozen=True)
 class WantedTopics:
-    """The user's choices for a bag; the rest is found out."""
+    """The user's choices for a bag; the rest is found out. `together` are topics whose clouds join those of `topic`."""
 
     topic: str | None = None
     odometry: str | None = None
     T_body_sensor: se3.Matrix4 | None = None
+    together: tuple[str, ...] = ()
 
 
 def choose(found: BagTopics, wanted: WantedTopics) -> Pairing:
@@ -71,6 +72,47 @@ def with_other_frames(pair: Pairing, found: BagTopics, wanted: WantedTopics) -> 
         return [pair]
     others = (other for part in parts for other in _pairings(part, found, wanted))
     return [pair, *(other for other in others if other.shares_poses(pair) and other.covered().any())]
+
+
+def choose_beside(first: Pairing, found: BagTopics, wanted: WantedTopics) -> list[Pairing]:
+    """The pairs of the topics that are wanted together with that of `first`, by the same poses.
+
+    Raises BadField where nothing tells how their LiDARs sit on the body, or topics are named twice.
+    """
+    names = (first.clouds.name, *wanted.together)
+    if len(set(names)) < len(names):
+        raise BadField(f"topics are named twice: {', '.join(names)}", field="topic")
+    if wanted.together and wanted.T_body_sensor is not None:
+        raise BadField(
+            "--T-body-sensor is of one sensor: LiDARs that are used together have their mountings in /tf_static",
+            field="T_body_sensor",
+        )
+    return [_beside(first, name, found, wanted) for name in wanted.together]
+
+
+def _beside(first: Pairing, topic: str, found: BagTopics, wanted: WantedTopics) -> Pairing:
+    if first.poses == KISS_ICP:
+        pair = _carried(first, clouds_alone(found, replace(wanted, topic=topic)), found)
+    else:
+        odometry = first.poses if first.poses in found.poses else wanted.odometry or TF
+        pair = choose(found, replace(wanted, topic=topic, odometry=odometry))
+    if pair is None or pair.relation > Relation.BY_TRANSFORMS or not pair.shares_poses(first):
+        raise BadField(
+            f"{topic} (frame {found.clouds[topic].frame}) and {first.clouds.name} (frame {first.clouds.frame}) cannot "
+            "be used together: no static transforms tell how both sit on what the poses follow. Record /tf_static",
+            field="topic",
+        )
+    return pair
+
+
+def _carried(first: Pairing, clouds: CloudTopic, found: BagTopics) -> Pairing | None:
+    """Clouds of another LiDAR, its poses those that were made for the first one; None where nothing links the two."""
+    tree = found.transforms.tree(found.transforms.topics(clouds.name, None, found.clouds))
+    if not tree.linked(first.clouds.frame, clouds.frame):
+        return None
+    why = f"the transforms tell where {clouds.frame} is in {first.clouds.frame}"
+    mounting = BetweenFrames(tree, first.clouds.frame, clouds.frame)
+    return Pairing(clouds, first.poses, first.relation, first.body, mounting, None, why)
 
 
 def doubts(pair: Pairing, found: BagTopics, wanted: WantedTopics) -> list[str]:

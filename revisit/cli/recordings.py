@@ -15,7 +15,14 @@ if TYPE_CHECKING:
     from revisit.evaluation.datasets import Recording
 
 Format = Annotated[str, typer.Option("--format", help=RECORDINGS)]
-Topic = Annotated[str | None, typer.Option("--topic", help="Bags: topic of the clouds, instead of the fitting one.")]
+Topic = Annotated[
+    str | None,
+    typer.Option(
+        "--topic",
+        "--topics",
+        help="Bags: topic of the clouds, instead of the fitting one. Several, as /front,/rear, are merged by sweep.",
+    ),
+]
 Odometry = Annotated[
     str | None,
     typer.Option(
@@ -57,7 +64,8 @@ def opened(
 
     if file_format not in (AUTO, *FORMATS):
         raise refuse(f"--format is one of {', '.join((AUTO, *FORMATS))}")
-    wanted = WantedTopics(topic, odometry, _transform(mounting))
+    first, *together = [name.strip() for name in (topic or "").split(",")]
+    wanted = WantedTopics(first or None, odometry, _transform(mounting), tuple(together))
     with progress_bar(quiet=odometry != KISS_ICP) as bar:
         recording = open_recording(folder, file_format, wanted, poses, reporter(bar))
     for note in notes_of(recording):
