@@ -24,7 +24,7 @@ def adjoint(transforms: Array64) -> Array64:
     """The (n, 6, 6) matrices with T exp(xi) = exp(adjoint @ xi) T."""
     rotations, out = transforms[:, :3, :3], np.zeros((len(transforms), 6, 6))
     out[:, :3, :3] = out[:, 3:, 3:] = rotations
-    out[:, :3, 3:] = _hat(transforms[:, :3, 3]) @ rotations
+    out[:, :3, 3:] = hat(transforms[:, :3, 3]) @ rotations
     return out
 
 
@@ -32,7 +32,7 @@ def exp(tangents: Array64) -> Array64:
     """The transforms exp(tangent) of tangents (n, 6)."""
     rho, phi = tangents[:, :3], tangents[:, 3:]
     squared = np.einsum("ni,ni->n", phi, phi)
-    angle, k = np.sqrt(squared), _hat(phi)
+    angle, k = np.sqrt(squared), hat(phi)
     safe = np.where(angle > _SMALL, angle, 1.0)
     a = np.where(angle > _SMALL, np.sin(safe) / safe, 1.0 - squared / 6.0)
     b = np.where(angle > _SMALL, 2.0 * (np.sin(0.5 * safe) / safe) ** 2, 0.5 - squared / 24.0)
@@ -56,7 +56,7 @@ def log(transforms: Array64) -> Array64:
     phi = np.where(large, angle / np.where(large, sine, 1.0), 1.0)[:, None] * sines
     for row in np.flatnonzero(cosine < _NEARLY_OPPOSITE):  # the sines say little of the axis there
         phi[row] = se3.log(transforms[row])[3:]
-    half, k = np.where(angle > _SMALL, 0.5 * angle, 1.0), _hat(phi)
+    half, k = np.where(angle > _SMALL, 0.5 * angle, 1.0), hat(phi)
     factor = np.where(angle > _SMALL, (1.0 - half * np.cos(half) / np.sin(half)) / (4.0 * half**2), 1.0 / 12.0)
     inverse_left = np.eye(3) - 0.5 * k + factor[:, None, None] * (k @ k)
     return np.concatenate([_turn(inverse_left, transforms[:, :3, 3]), phi], axis=1)
@@ -68,8 +68,8 @@ def inverse_right_jacobian(tangents: Array64) -> Array64:
     By its series, which errs by 1e-9 at a rotation of a quarter of a radian, by 2e-5 at one, by 0.1 at half a turn.
     """
     brackets = np.zeros((len(tangents), 6, 6))
-    brackets[:, :3, :3] = brackets[:, 3:, 3:] = _hat(tangents[:, 3:])
-    brackets[:, :3, 3:] = _hat(tangents[:, :3])
+    brackets[:, :3, :3] = brackets[:, 3:, 3:] = hat(tangents[:, 3:])
+    brackets[:, :3, 3:] = hat(tangents[:, :3])
     twice = brackets @ brackets
     even = twice @ (np.eye(6) / 12.0 + twice @ (np.eye(6) / -720.0 + twice / 30240.0))
     return np.asarray(np.eye(6) + 0.5 * brackets + even)
@@ -85,7 +85,8 @@ def _turn(matrices: Array64, vectors: Array64) -> Array64:
     return np.asarray(np.einsum("nij,nj->ni", matrices, vectors))
 
 
-def _hat(vectors: Array64) -> Array64:
+def hat(vectors: Array64) -> Array64:
+    """The (n, 3, 3) matrices whose products with a vector are the cross products of `vectors` (n, 3) with it."""
     x, y, z = vectors.T
     out = np.zeros((len(vectors), 3, 3))
     out[:, 0, 1], out[:, 0, 2], out[:, 1, 2] = -z, y, -x

@@ -12,6 +12,9 @@ steady_faults  scale, slope and heading of odometry, by loops with other session
 broken_steps   slips, jumps, turns and tilts of odometry, by loops on both sides
 faults         faults of a session's odometry, and their mending
 optimisation   the most likely poses, and which loops they rest on
+anchors        places of points that the world outside tells, and how a map lies in that world
+absolute_edges terms of least squares that tie poses to the world
+grounding      a map on earth: its anchors judged, its poses held by those that agree
 normal_equations  errors and derivatives of many edges at once, and their factorisation
 warm_start     one loop more on poses that were found before
 g2o            graphs as text, for other tools

@@ -7,12 +7,13 @@ The longest call is one factorisation, so that the heartbeat of a worker goes on
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from revisit.core.geometry import se3_rows
-from revisit.core.pose_graph.normal_equations import Edges, Equations
+from revisit.core.pose_graph.normal_equations import Equations, Rows
 
 Array64 = NDArray[np.float64]
 
@@ -40,6 +41,39 @@ Kernel = Callable[[Array64], tuple[Array64, Array64]]
 """Costs (e,) and weights (e,) of edges at squared distances (e,)."""
 
 
+T = TypeVar("T", bound="Terms")
+
+
+class Terms(Protocol):
+    """Measurements of poses (n, 4, 4), e of them, each with an error (6,): edges, or edges and absolute ones."""
+
+    def __len__(self) -> int: ...
+
+    def chosen(self: T, which: NDArray[np.bool_] | Rows) -> T:
+        """Some of them."""
+        ...
+
+    def weighted(self: T, weights: Array64) -> T:
+        """The same with their information times weights (e,)."""
+        ...
+
+    def errors(self, poses: Array64) -> Array64:
+        """Their errors (e, 6)."""
+        ...
+
+    def squared(self, errors: Array64) -> Array64:
+        """Squared Mahalanobis distances (e,) of errors (e, 6)."""
+        ...
+
+    def squared_errors(self, poses: Array64) -> Array64:
+        """Squared Mahalanobis distances (e,) of poses."""
+        ...
+
+    def linearised(self, poses: Array64, errors: Array64, weights: Array64) -> Equations:
+        """The normal equations at poses with these errors (e, 6) and weights (e,), in tangents of the poses."""
+        ...
+
+
 def squares(squared: Array64) -> tuple[Array64, Array64]:
     """The kernel of plain least squares."""
     return squared, np.ones_like(squared)
@@ -61,9 +95,11 @@ def huber(squared: Array64) -> tuple[Array64, Array64]:
 
 
 def minimise(
-    edges: Edges, anchor: int, start: Array64, tolerance: float = TOLERANCE, kernel: Kernel = squares
+    edges: Terms, anchor: int | None, start: Array64, tolerance: float = TOLERANCE, kernel: Kernel = squares
 ) -> Array64:
     """The poses (n, 4, 4) of least cost near `start`, by Levenberg and Marquardt; the one in row `anchor` stays.
+
+    `anchor` is None where terms tie the poses to the world.
 
     `tolerance` of the cost is relative.
     """
@@ -88,7 +124,7 @@ def minimise(
     return poses
 
 
-def settled(edges: Edges, anchor: int, poses: Array64) -> Array64:
+def settled(edges: Terms, anchor: int | None, poses: Array64) -> Array64:
     """The least cost itself, by Gauss-Newton steps from `poses` near it: where it lies does not depend on the way
     there. `poses` where no step can be computed.
     """
@@ -104,7 +140,7 @@ def settled(edges: Edges, anchor: int, poses: Array64) -> Array64:
     return poses
 
 
-def graduated(edges: Edges, known: int, anchor: int, start: Array64) -> Array64:
+def graduated(edges: Terms, known: int, anchor: int | None, start: Array64) -> Array64:
     """Graduated non-convexity with truncated least squares (Yang et al. 2020): loops end with weight 0 or 1.
 
     The first `known` edges are steps, which are right; the others are loops. From a convex cost towards the truncated
@@ -125,14 +161,14 @@ def graduated(edges: Edges, known: int, anchor: int, start: Array64) -> Array64:
     return poses
 
 
-def _cost(edges: Edges, poses: Array64, kernel: Kernel) -> tuple[Array64, float, Array64]:
+def _cost(edges: Terms, poses: Array64, kernel: Kernel) -> tuple[Array64, float, Array64]:
     """The errors (e, 6) of all edges, half of their total cost, and their weights (e,)."""
     errors = edges.errors(poses)
     costs, weights = kernel(edges.squared(errors))
     return errors, 0.5 * float(costs.sum()), weights
 
 
-def _step(equations: Equations, anchor: int, poses: Array64, damping: float) -> tuple[Array64, float]:
+def _step(equations: Equations, anchor: int | None, poses: Array64, damping: float) -> tuple[Array64, float]:
     """The poses after a damped step, and its predicted saving; the same poses where none can be computed."""
     try:
         step = _solved(equations, anchor, damping)
@@ -142,13 +178,14 @@ def _step(equations: Equations, anchor: int, poses: Array64, damping: float) -> 
     return poses @ se3_rows.exp(step), expected
 
 
-def _solved(equations: Equations, anchor: int, damping: float) -> Array64:
-    """The step (n, 6) towards the least cost; the anchor stays where it is.
+def _solved(equations: Equations, anchor: int | None, damping: float) -> Array64:
+    """The step (n, 6) towards the least cost; the anchor, if any, stays where it is.
 
     The pull at the anchor counts: all pulls together are none, and a part of them would move the whole map.
     """
     step = equations.factorised(anchor, damping).solve(-equations.gradient)
-    step[anchor] = 0.0
+    if anchor is not None:
+        step[anchor] = 0.0
     return step
 
 

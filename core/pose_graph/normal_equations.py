@@ -138,8 +138,8 @@ class Edges:
         return Equations(
             self,
             links,
-            _added(of_first, self.first, count) + _added(of_second, self.second, count),
-            _added(back, self.first, count) + _added(force, self.second, count),
+            summed(of_first, self.first, count) + summed(of_second, self.second, count),
+            summed(back, self.first, count) + summed(force, self.second, count),
         )
 
     def cost_and_gradient(self, poses: Array64) -> tuple[float, Array64]:
@@ -151,14 +151,14 @@ class Edges:
         errors = self.errors(poses)
         weighted = np.einsum("eij,ej->ei", self.information, errors)
         pulls = _transposed_adjoint(T_second_map, weighted)
-        gradient = _added(pulls, self.second, len(poses)) - _added(pulls, self.first, len(poses))
+        gradient = summed(pulls, self.second, len(poses)) - summed(pulls, self.first, len(poses))
         return float(np.einsum("ei,ei->", errors, weighted)), gradient
 
     def in_the_map(self, poses: Array64) -> Equations:
         """The normal equations at the poses (n, 4, 4), in tangents of the map, of edges without errors."""
         turn = se3_rows.adjoint(se3_rows.inverse(poses[self.second]))
         weights, count = turn.transpose(0, 2, 1) @ self.information @ turn, len(poses)
-        diagonal = _added(weights, self.first, count) + _added(weights, self.second, count)
+        diagonal = summed(weights, self.first, count) + summed(weights, self.second, count)
         return Equations(self, -weights, diagonal, np.zeros((count, SIDE)))
 
 
@@ -175,8 +175,8 @@ class Equations:
     diagonal: Array64
     gradient: Array64
 
-    def factorised(self, anchor: int, damping: float = 0.0) -> Factorisation:
-        """Their factorisation; the pose in row `anchor` is held fast, and `damping` is added to the diagonal.
+    def factorised(self, anchor: int | None, damping: float = 0.0) -> Factorisation:
+        """Their factorisation; the pose in row `anchor`, if any, is held fast, and `damping` is added to the diagonal.
 
         Raises RuntimeError where a pose hangs on nothing.
         """
@@ -184,7 +184,8 @@ class Equations:
         places = elimination.places
         diagonal = np.empty_like(self.diagonal)
         diagonal[places] = self.diagonal + damping * np.eye(SIDE)
-        diagonal[places[anchor]] += ANCHOR_INFORMATION * np.eye(SIDE)
+        if anchor is not None:
+            diagonal[places[anchor]] += ANCHOR_INFORMATION * np.eye(SIDE)
         return Factorisation(places, factorised(elimination.structure, self.links, diagonal))
 
 
@@ -259,7 +260,7 @@ def _transposed_adjoint(transforms: Array64, vectors: Array64) -> Array64:
     return np.concatenate([np.einsum("eji,ej->ei", turns, force), np.einsum("eji,ej->ei", turns, torque)], axis=1)
 
 
-def _added(values: Array64, rows: Rows, count: int) -> Array64:
+def summed(values: Array64, rows: Rows, count: int) -> Array64:
     """Sums (count, ...) of values (e, ...) by row."""
     ones, at = np.ones(len(rows)), np.arange(len(rows))
     flat = values.reshape(len(rows), math.prod(values.shape[1:]))

@@ -12,10 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from revisit.core.geometry import se3
+from revisit.core.pose_graph.anchors import Anchor, Georeference, JudgedAnchor, require_anchors
 from revisit.core.pose_graph.broken_steps import broken_steps, is_bent, shows_a_fault
 from revisit.core.pose_graph.consistency import ConsistentSet, consistent_sets
 from revisit.core.pose_graph.faults import Mending, OdometryFault
 from revisit.core.pose_graph.graph import GraphState, Node, PoseGraph, Trajectory
+from revisit.core.pose_graph.grounding import Grounding, Solution
 from revisit.core.pose_graph.heading_bias import straightened
 from revisit.core.pose_graph.least_squares import ROUGHLY, Kernel, cauchy, graduated, huber, minimise, settled
 from revisit.core.pose_graph.normal_equations import Edges, Factorisation
@@ -70,8 +72,9 @@ class OptimisedGraph:
     loops, the state of every loop of the graph in its order; residuals (l,), its squared Mahalanobis distance from the
     poses, NaN where its sessions share no frame. covariances (n, 6, 6) of the poses of each session, of the tangent
     (x, y, z, rx, ry, rz) in the submap's frame, metres and radians, as of the first submap of the component, which is
-    held fast; NaN where they are too large to be computed. chi2, the squared errors of all steps and of the loops in
-    the map; degrees_of_freedom, its expectation. faults: those of the odometry that were mended before.
+    held fast; NaN where they are too large to be computed. chi2, the squared errors of all steps and of the loops and
+    anchors in the map; degrees_of_freedom, its expectation. faults: those of the odometry that were mended before.
+    anchors: the verdicts on the anchors, in the order given; georeferences, of the components that they hold.
     """
 
     T_map_submap: dict[str, Array64]
@@ -82,6 +85,8 @@ class OptimisedGraph:
     chi2: float
     degrees_of_freedom: int
     faults: tuple[OdometryFault, ...] = ()
+    anchors: tuple[JudgedAnchor, ...] = ()
+    georeferences: tuple[Georeference, ...] = ()
 
     @property
     def price(self) -> float:
@@ -94,28 +99,67 @@ class OptimisedGraph:
 
 
 def optimise(
-    graph: PoseGraph, robustness: Robustness = Robustness.COMMIT, progress: Callable[[int, int], None] = lambda *_: None
+    graph: PoseGraph,
+    robustness: Robustness = Robustness.COMMIT,
+    progress: Callable[[int, int], None] = lambda *_: None,
+    anchors: Sequence[Anchor] = (),
 ) -> OptimisedGraph:
     """Place the sessions by the loops that agree, optimise each component, set loops aside that do not fit.
 
     Uncertainties that small circles show to be far too large are reduced before (see `variance_factor`), and odometry
     whose heading turns steadily is straightened (see `heading_bias`), but for PLAIN and the other methods that are for
     comparison; covariances and distances in the answer rest on the reduced ones and on the straight odometry.
-    `told` hears how many of how many components are done, and may raise to end the work.
+    `progress` hears how many of how many components are done, and may raise to end the work.
+    `anchors` hold what the loops have made of each component in the world, and set no loop aside (see `grounding`);
+    those methods do without them. Raises BadField where one names no submap, or has numbers that are none.
     """
+    require_anchors(anchors, {one.session: len(one) for one in graph.trajectories})
     if robustness not in (Robustness.ONLINE, Robustness.COMMIT):
         return _judged(graph, robustness, progress)
     graph = straightened(rescaled(graph, variance_factor(graph)))
     answer = _judged(graph, robustness, progress)
-    return _without_faults(graph, answer, progress) if robustness is Robustness.COMMIT else answer
+    if robustness is Robustness.COMMIT:
+        graph, answer = _without_faults(graph, answer, progress)
+    return _on_earth(graph, answer, anchors) if anchors else answer
+
+
+def _on_earth(graph: PoseGraph, answer: OptimisedGraph, anchors: Sequence[Anchor]) -> OptimisedGraph:
+    """The answer held by anchors, a component after the other; as it was where they do not tell its place."""
+    judged: dict[int, JudgedAnchor] = {}
+    for group in answer.components:
+        numbers = [n for n, one in enumerate(anchors) if one.node.session in group]
+        if numbers:
+            found = Grounding.of(
+                graph, answer.loops, answer.T_map_submap, group, [anchors[n] for n in numbers]
+            ).solved()
+            judged |= dict(zip(numbers, found.anchors, strict=True))
+            answer = answer if found.solution is None else _held(answer, found.solution)
+    return replace(answer, anchors=tuple(judged[n] for n in range(len(anchors))))
+
+
+def _held(answer: OptimisedGraph, solution: Solution) -> OptimisedGraph:
+    """The answer with one component as its anchors hold it."""
+    residuals = answer.residuals.copy()
+    residuals[list(solution.residuals)] = list(solution.residuals.values())
+    return replace(
+        answer,
+        T_map_submap=answer.T_map_submap | solution.T_map_submap,
+        covariances=answer.covariances | solution.covariances,
+        residuals=residuals,
+        chi2=answer.chi2 + solution.chi2_more,
+        degrees_of_freedom=answer.degrees_of_freedom + solution.degrees_more,
+        georeferences=(*answer.georeferences, solution.georeference),
+    )
 
 
 Seeking = Callable[[PoseGraph, OptimisedGraph], list[Mending]]
 """A way to seek faults of odometry in a graph and its answer."""
 
 
-def _without_faults(graph: PoseGraph, answer: OptimisedGraph, progress: Callable[[int, int], None]) -> OptimisedGraph:
-    """The answer with faults of odometry mended, as long as that explains more of the loops; or `answer`."""
+def _without_faults(
+    graph: PoseGraph, answer: OptimisedGraph, progress: Callable[[int, int], None]
+) -> tuple[PoseGraph, OptimisedGraph]:
+    """Graph and answer with faults of odometry mended, as long as that explains more of the loops; or as they are."""
     faults: list[OdometryFault] = []
     odd: Seeking = partial(_broken, odd=True)
     ways: tuple[tuple[Seeking, int], ...] = ((_steady, 1), (odd, MAX_MENDINGS), (_broken, MAX_MENDINGS))
@@ -127,7 +171,7 @@ def _without_faults(graph: PoseGraph, answer: OptimisedGraph, progress: Callable
             if not _explains_more(other, answer, len(more)):
                 break
             graph, answer, faults = mended, other, faults + [one.fault for one in more]
-    return replace(answer, faults=tuple(sorted(faults, key=lambda one: (one.session, one.first, one.kind))))
+    return graph, replace(answer, faults=tuple(sorted(faults, key=lambda one: (one.session, one.first, one.kind))))
 
 
 def _mended(graph: PoseGraph, mendings: Sequence[Mending]) -> PoseGraph:

@@ -1,0 +1,208 @@
+"""A map on earth: its poses by the drives, the loops in it and the anchors that agree, and its place in the world.
+
+Steps and loops in the map are known to be right here: no anchor sets a loop aside. Anchors are judged by graduated
+non-convexity, then by gates, as loops are. Nothing moves before the place and the heading of a map are well
+determined: an anchor that acts while the heading is unknown shears the map.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from revisit.core.geometry import se3, se3_rows
+from revisit.core.pose_graph.absolute_edges import AbsoluteEdges, GroundedEdges
+from revisit.core.pose_graph.anchors import (
+    LEAST_ANCHORS,
+    LEAST_SHARE,
+    MOST_HEADING_SIGMA_RAD,
+    Anchor,
+    AnchorReason,
+    AnchorState,
+    Georeference,
+    JudgedAnchor,
+    absolute_edges,
+    aligned,
+    heading_sigma_rad,
+    level,
+)
+from revisit.core.pose_graph.graph import GraphState, LoopEdge, Node, PoseGraph, Trajectory
+from revisit.core.pose_graph.least_squares import graduated, minimise, settled
+from revisit.core.pose_graph.normal_equations import Edges
+
+Array64 = NDArray[np.float64]
+
+GATE = 16.27
+"""Squared Mahalanobis distance of an anchor from the poses: chi-square with 3 degrees of freedom, 99.9 %."""
+
+MAX_GATINGS = 5
+
+
+@dataclass(frozen=True)
+class Solution:
+    """A component as its anchors hold it: poses and covariances by session as of `OptimisedGraph`; residuals of its
+    loops by their place in the graph; by how much chi2 and its degrees of freedom are more than without anchors.
+    """
+
+    T_map_submap: dict[str, Array64]
+    covariances: dict[str, Array64]
+    residuals: dict[int, float]
+    chi2_more: float
+    degrees_more: int
+    georeference: Georeference
+
+
+@dataclass(frozen=True)
+class Grounded:
+    """The verdicts on the anchors of a component, and its solution; None where nothing is aligned."""
+
+    anchors: tuple[JudgedAnchor, ...]
+    solution: Solution | None = None
+
+
+@dataclass(frozen=True)
+class Grounding:
+    """One component with its anchors. `before` (n, 4, 4) are its poses without them, the first of the session that
+    gives the frame first; edges, its steps and the loops in the map; loops, all of its loops by place in the graph.
+    """
+
+    trajectories: tuple[Trajectory, ...]
+    before: Array64
+    edges: Edges
+    loops: dict[int, LoopEdge]
+    rows: dict[Node, int]
+    anchors: tuple[Anchor, ...]
+    absolute: AbsoluteEdges
+
+    @classmethod
+    def of(
+        cls,
+        graph: PoseGraph,
+        states: Sequence[GraphState],
+        T_map_submap: Mapping[str, Array64],
+        sessions: Sequence[str],
+        anchors: Sequence[Anchor],
+    ) -> Grounding:
+        """The component of `sessions`, the first of which gives the frame, by the `states` of the graph's loops."""
+        trajectories = tuple(graph.by_session[one] for one in sessions)
+        nodes = [Node(one.session, ordinal) for one in trajectories for ordinal in range(len(one))]
+        rows = {node: row for row, node in enumerate(nodes)}
+        loops = {n: one for n, one in enumerate(graph.loops) if one.match in rows and one.query in rows}
+        kept = [one for n, one in loops.items() if states[n] is GraphState.IN_MAP]
+        edges = Edges.of_steps(trajectories, rows).joined(Edges.of_loops(kept, rows))
+        before = np.concatenate([T_map_submap[one] for one in sessions])
+        return cls(trajectories, before, edges, loops, rows, tuple(anchors), absolute_edges(anchors, rows))
+
+    def solved(self) -> Grounded:
+        """The component by its anchors, or the reason why they do not hold it."""
+        if (reason := _too_weak(self.anchors, self.absolute, self.before)) is not None:
+            return _refused(self.anchors, reason)
+        terms = GroundedEdges(self.edges, level(0, self.before[0]).joined(self.absolute))
+        poses, kept = _solved(terms, aligned(self.absolute, self.before) @ self.before)
+        agreeing = list(itertools.compress(self.anchors, kept))
+        if _weight(agreeing) < LEAST_SHARE * _weight(self.anchors):
+            return _refused(self.anchors, AnchorReason.MOSTLY_DISAGREE)
+        if (reason := _too_weak(agreeing, self.absolute.chosen(kept), poses)) is not None:
+            return _refused(self.anchors, reason)
+        return Grounded(self._judged(poses, kept), self._solution(terms, poses, kept))
+
+    def _judged(self, poses: Array64, kept: NDArray[np.bool_]) -> tuple[JudgedAnchor, ...]:
+        misfits, squared = -self.absolute.errors(poses)[:, :3], self.absolute.squared_errors(poses)
+        return tuple(
+            JudgedAnchor(*_VERDICTS[bool(one)], misfit, float(distance))
+            for one, misfit, distance in zip(kept, misfits, squared, strict=True)
+        )
+
+    def _solution(self, terms: GroundedEdges, poses: Array64, kept: NDArray[np.bool_]) -> Solution:
+        """From poses (n, 4, 4) in the world to those of a map whose first pose stays where it was."""
+        T_world_map, agreeing = poses[0] @ se3.inverse(self.before[0]), self.absolute.chosen(kept)
+        of_first, covariances = _covariances(_heard(terms, kept), poses)
+        turn, misfits = se3.adjoint(self.before[0]), agreeing.errors(poses)[:, :2]
+        georeference = Georeference(
+            session=self.trajectories[0].session,
+            T_world_map=T_world_map,
+            covariance=turn @ of_first @ turn.T,
+            heading_sigma_rad=heading_sigma_rad(agreeing, poses),
+            anchors=int(kept.sum()),
+            of_anchors=len(kept),
+            residual_m=float(np.sqrt((misfits**2).sum(axis=1).mean())),
+        )
+        return Solution(
+            self._by_session(se3.inverse(T_world_map) @ poses),
+            self._by_session(covariances),
+            dict(
+                zip(self.loops, Edges.of_loops(list(self.loops.values()), self.rows).squared_errors(poses), strict=True)
+            ),
+            float(_heard(terms, kept).squared_errors(poses).sum() - self.edges.squared_errors(self.before).sum()),
+            3 * len(agreeing) - 4,
+            georeference,
+        )
+
+    def _by_session(self, values: Array64) -> dict[str, Array64]:
+        """Values (n, ...) of all poses, by the session they belong to."""
+        ends = np.cumsum([len(one) for one in self.trajectories])
+        return {one.session: part for one, part in zip(self.trajectories, np.split(values, ends[:-1]), strict=True)}
+
+
+def _weight(anchors: Sequence[Anchor]) -> int:
+    """How much anchors say together: a heading as much as three more places."""
+    return sum(1 if one.heading is None else LEAST_ANCHORS for one in anchors)
+
+
+def _too_weak(anchors: Sequence[Anchor], absolute: AbsoluteEdges, poses: Array64) -> AnchorReason | None:
+    """The reason why anchors that agree do not tell place and heading of a map well enough; None where they do."""
+    if _weight(anchors) < LEAST_ANCHORS:
+        return AnchorReason.TOO_FEW
+    return AnchorReason.NOT_SPREAD if heading_sigma_rad(absolute, poses) > MOST_HEADING_SIGMA_RAD else None
+
+
+def _refused(anchors: Sequence[Anchor], reason: AnchorReason) -> Grounded:
+    """Nothing is aligned, for a reason."""
+    return Grounded(tuple(JudgedAnchor(AnchorState.NOT_ALIGNED, reason, np.full(3, np.nan), np.nan) for _ in anchors))
+
+
+def _solved(terms: GroundedEdges, start: Array64) -> tuple[Array64, NDArray[np.bool_]]:
+    """The poses in the world, and which anchors (k,) they rest on: those within the gate around them."""
+    known = len(terms.edges) + 1
+    poses = graduated(terms, known, None, start)
+    kept = terms.squared_errors(poses)[known:] < GATE
+    for _ in range(MAX_GATINGS):
+        poses = minimise(_heard(terms, kept), None, poses)
+        before, kept = kept, terms.squared_errors(poses)[known:] < GATE
+        if (kept == before).all():
+            break
+    heard = _heard(terms, kept)
+    return settled(heard, None, minimise(heard, None, poses)), kept
+
+
+def _heard(terms: GroundedEdges, kept: NDArray[np.bool_]) -> GroundedEdges:
+    """The terms with those anchors alone that are kept."""
+    known = len(terms.edges) + 1
+    return terms.chosen(np.concatenate([np.ones(known, dtype=np.bool_), kept]))
+
+
+_VERDICTS: dict[bool, tuple[AnchorState, AnchorReason | None]] = {
+    True: (AnchorState.IN_MAP, None),
+    False: (AnchorState.SET_ASIDE, AnchorReason.DISAGREES),
+}
+
+
+def _covariances(heard: GroundedEdges, poses: Array64) -> tuple[Array64, Array64]:
+    """The covariance (6, 6) of the first pose in the world, and those (n, 6, 6) of all as seen from the first; NaN
+    where they are too large to be computed.
+    """
+    try:
+        known = heard.linearised(poses, heard.errors(poses), np.ones(len(heard))).factorised(None)
+    except RuntimeError:
+        return np.full((6, 6), np.nan), np.full((len(poses), 6, 6), np.nan)
+    of_first = np.zeros((6 * len(poses), 6))
+    of_first[:6] = np.eye(6)
+    beside, own = known.solve(of_first).reshape(-1, 6, 6), known.covariances()
+    back = se3_rows.adjoint(se3_rows.inverse(poses) @ poses[0])
+    shared = beside @ back.transpose(0, 2, 1)
+    seen = own - shared - shared.transpose(0, 2, 1) + back @ own[0] @ back.transpose(0, 2, 1)
+    return own[0], 0.5 * (seen + seen.transpose(0, 2, 1))
