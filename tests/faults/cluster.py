@@ -23,7 +23,9 @@ from tests.support.postgres import PostgresServer, new_folder
 from tests.support.processes import SearchProcess, ServiceProcess, WorkersProcess, _Logging
 from tests.support.service_world import cloud_points
 
-PLACES = 12
+PLACES, VISITS = 12, 15
+"""Places that robots see in turn, and how often, before others follow: less often than a search has candidates."""
+
 ROBOTS = 3
 SETTINGS = {
     "secret": "s" * 40,
@@ -55,7 +57,7 @@ class Robot:
 
     def _drive(self) -> None:
         for count in itertools.count():
-            submap_id, place = f"r{self._number}-{count}", (count * ROBOTS + self._number) % PLACES
+            submap_id, place = f"r{self._number}-{count}", _place(count * ROBOTS + self._number)
             while not self._posted(submap_id, place):
                 if self._stop.wait(0.1):
                     return
@@ -77,6 +79,11 @@ class Robot:
         if answer.status_code not in (200, 202, 429, 503, 504):
             self.surprises.append(answer.text)
         return answer.status_code in (200, 202)
+
+
+def _place(number: int) -> int:
+    """The place that a submap of all robots together shows."""
+    return number % PLACES + PLACES * (number // (PLACES * VISITS))
 
 
 def acknowledged_to(robots: list[Robot]) -> set[str]:

@@ -116,6 +116,32 @@ def asked(world):
     ]
 
 
+class CaughtUpMeanwhile(PlaceVectorIndex):
+    """An index that knows all of the database before its first search: another thread has caught up."""
+
+    def __init__(self, world):
+        super().__init__(FaissIndex)
+        self._others = CaughtUpIndex(world.context.transactions, self)
+        self.searches = 0
+
+    def search(self, map_number, vector, k, where):
+        """As the other does."""
+        self.searches += 1
+        if self.searches == 1:
+            self._others.catch_up(TENANT, map_number)
+        return super().search(map_number, vector, k, where)
+
+
+def test_a_search_among_those_before_a_submap_finds_none_that_another_thread_brings_meanwhile(world):
+    index = CaughtUpMeanwhile(world)
+    asked_for = question(world, before=row(world).entered, k=SUBMAPS)
+    found = CaughtUpIndex(world.context.transactions, index).nearest(asked_for).matches
+    alone = CaughtUpIndex(world.context.transactions, PlaceVectorIndex(FaissIndex)).nearest(asked_for).matches
+    assert found == alone
+    assert len(found) < SUBMAPS - 1
+    assert index.searches == 2
+
+
 def test_a_search_process_answers_as_the_index_of_the_process_that_asks(world):
     own = CaughtUpIndex(world.context.transactions, PlaceVectorIndex(FaissIndex))
     with running(world, "search-a"):

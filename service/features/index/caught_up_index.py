@@ -44,9 +44,9 @@ class CaughtUpIndex:
         while True:
             seq = self.catch_up(tenant, number, before)
             matches = self._search(question, self._entered_in_time(question))
-            if self._index.seq(number) >= seq:
+            if self._index.seq(number) >= seq and not self._too_late(question).intersection(_numbers(matches)):
                 return self._answer(question, matches)
-            # The map was forgotten in between, to be loaded again.
+            # Meanwhile the map was forgotten, to be loaded again; or others caught up, and what they brought was found.
 
     def nearest_in(self, uow: UnitOfWork, question: PlaceQuestion, version: int | None) -> PlaceAnswer | None:
         """See `PlaceSearch`: where the index is then as of this snapshot, and no further.
@@ -91,11 +91,16 @@ class CaughtUpIndex:
 
     def _entered_in_time(self, question: PlaceQuestion) -> VectorFilter:
         """The filter, which leaves out what the index holds beyond change `before`."""
-        tenant, number, before, where = question.tenant, question.map_number, question.before, question.where
+        later = self._too_late(question)
+        return replace(question.where, without=question.where.without | later) if later else question.where
+
+    def _too_late(self, question: PlaceQuestion) -> frozenset[int]:
+        """The submaps that entered the index after change `before` of the question."""
+        tenant, number, before = question.tenant, question.map_number, question.before
         if before is None or self._index.seq(number) <= before:
-            return where
+            return frozenset()
         later = self._transactions.read_here(lambda uow: uow.changes.since(tenant, number, before))
-        return replace(where, without=where.without.union(change.submap_number for change in later))
+        return frozenset(change.submap_number for change in later)
 
     def _search(self, question: PlaceQuestion, where: VectorFilter) -> list[VectorMatch]:
         number = question.map_number
@@ -120,6 +125,10 @@ class CaughtUpIndex:
         if record is not None and record.index_file is not None:
             self._index.load(number, record.index_file)
         return self._index.seq(number)
+
+
+def _numbers(matches: list[VectorMatch]) -> list[int]:
+    return [match.submap_number for match in matches]
 
 
 def _changes(uow: UnitOfWork, tenant: TenantId, number: int, seq: int) -> list[IndexChange]:
