@@ -110,10 +110,7 @@ class _Installed:
 
     @classmethod
     def install(cls, function: Callable[[Any, Any], Any], context: Any) -> None:
-        """Keep the work; torch, too, uses one thread from now on."""
-        import torch
-
-        torch.set_num_threads(1)
+        """Keep the work."""
         cls.function, cls.context = staticmethod(function), context
 
     @classmethod

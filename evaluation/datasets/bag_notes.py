@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
+from revisit.core.errors import RevisitError
+from revisit.evaluation.datasets.bag_message import Bag
 from revisit.evaluation.datasets.bag_topics import BagTopics
 from revisit.evaluation.datasets.lidar_odometry import KISS_ICP
 from revisit.evaluation.datasets.pairing import Pairing, Relation
-from revisit.evaluation.datasets.placed_clouds import Merged
+from revisit.evaluation.datasets.placed_clouds import Merged, PlacedClouds
 from revisit.evaluation.datasets.posed_clouds import Stamps
 from revisit.evaluation.datasets.topic_choice import WantedTopics, doubts
 
@@ -41,6 +43,16 @@ def notes_of_merged(others: list[list[Pairing]], together: Merged, found: BagTop
     if others:
         said.append(f"clouds of one scan are at most {_ms(together.apart_ns)} apart, and moved by the poses between")
     return (*said, *warnings)
+
+
+def notes_of_deskewing(bag: Bag, scans: PlacedClouds) -> list[str]:
+    """Whether the clouds are deskewed, as the first one tells; nothing where that cannot be."""
+    first = scans.clouds[0][0]
+    try:
+        sweep = first.sweep(bag)
+    except RevisitError:
+        return []
+    return [] if sweep is None else ["points have times: each is moved to the stamp of its cloud; else --no-deskew"]
 
 
 def _ms(time_ns: int) -> str:

@@ -101,9 +101,12 @@ class Pairing:
 
     def covered(self) -> NDArray[np.bool_]:
         """For which clouds all that is needed is known."""
-        stamps = self.clouds.stamps_ns
+        return self.covers(self.clouds.stamps_ns)
+
+    def covers(self, stamps_ns: Stamps) -> NDArray[np.bool_]:
+        """At which of the times (n,) all that is needed is known."""
         parts = [self.body, self.mounting] + ([] if self.cloud_frame is None else [self.cloud_frame])
-        return np.asarray(np.logical_and.reduce([part.covered(stamps) for part in parts]))
+        return np.asarray(np.logical_and.reduce([part.covered(stamps_ns) for part in parts]))
 
     def T_world_sensor(self, stamp_ns: int) -> se3.Matrix4:
         """The pose of the sensor at a covered time."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -9,31 +10,61 @@ import numpy as np
 from numpy.typing import NDArray
 
 from revisit.core.geometry import se3
+from revisit.core.geometry.deskew import SweepMotion, deskewed, knots
 from revisit.core.scan import Points
 from revisit.evaluation.datasets.bag_message import Bag, Encoding, Place
 from revisit.evaluation.datasets.pairing import Pairing
 from revisit.evaluation.datasets.posed_clouds import Stamps
-from revisit.evaluation.datasets.ros_messages import read_coordinates, read_points
+from revisit.evaluation.datasets.ros_messages import read_coordinates, read_points, read_sweep
+
+_DESKEWED = re.compile(r"deskew|undistort|compensat|registered|corrected", re.IGNORECASE)
+"""Clouds on topics that are called so were deskewed by their publisher."""
 
 
 @dataclass(frozen=True)
 class BagCloud:
-    """A cloud as it lies in a bag. T_scan_cloud (4, 4) moves it into the frame of its scan; None where it is there."""
+    """A cloud as it lies in a bag, taken at `stamp_ns` by the sensor whose `motion` is known.
+
+    T_scan_cloud (4, 4) moves it into the frame of its scan; None where it is there. With `motion` None it is not
+    deskewed.
+    """
 
     place: Place
     message_type: str
     encoding: Encoding
+    stamp_ns: int
     T_scan_cloud: se3.Matrix4 | None = None
+    motion: Pairing | None = None
 
     def points(self, bag: Bag) -> Points:
         """The points (n, 3) in the frame of the scan. Raises MalformedBody, BadField, TooLarge."""
         message = bag.data(self.place)
-        if self.T_scan_cloud is None:
+        sweep = None if self.motion is None else self.sweep(bag)
+        if sweep is None and self.T_scan_cloud is None:
             return read_points(message, self.message_type, self.encoding)
         # In UTM coordinates float32 has steps of 0.5 m: the points are rounded only once they are the sensor's.
         with np.errstate(over="ignore", invalid="ignore"):
-            coordinates = read_coordinates(message, self.message_type, self.encoding)
-            return se3.apply(self.T_scan_cloud, coordinates).astype(np.float32)
+            coordinates = read_coordinates(message, self.message_type, self.encoding) if sweep is None else sweep
+            moved = coordinates if self.T_scan_cloud is None else se3.apply(self.T_scan_cloud, coordinates)
+            return moved.astype(np.float32)
+
+    def sweep(self, bag: Bag) -> NDArray[np.float64] | None:
+        """The deskewed points (n, 3), in the sensor's frame at the stamp; None where points have no times."""
+        told = read_sweep(bag.data(self.place), self.message_type, self.encoding)
+        if told is None or self.motion is None:
+            return None
+        motion = _motion(self.motion, self.stamp_ns, knots(told.offsets_ns))
+        with np.errstate(over="ignore", invalid="ignore"):
+            return deskewed(told.points, told.offsets_ns, motion)
+
+
+def _motion(pair: Pairing, stamp_ns: int, offsets_ns: NDArray[np.int64]) -> SweepMotion:
+    """Where the sensor was at such times since the stamp; where that is not known, as long as it is."""
+    known = np.flatnonzero(pair.covers(stamp_ns + offsets_ns))
+    times = offsets_ns[known] if len(known) else np.zeros(1, dtype=np.int64)
+    held = np.clip(offsets_ns, times[0], times[-1])
+    T_scan_world = se3.inverse(pair.T_world_sensor(stamp_ns))
+    return SweepMotion(offsets_ns, np.stack([T_scan_world @ pair.T_world_sensor(stamp_ns + int(at)) for at in held]))
 
 
 @dataclass(frozen=True)
@@ -60,26 +91,30 @@ class Merged:
     reach_ns: int
 
 
-def placed(pairs: Sequence[Pairing]) -> PlacedClouds:
-    """The clouds that have a pose, of pairs that differ in the frame of their clouds alone."""
+def placed(pairs: Sequence[Pairing], deskew: bool = True) -> PlacedClouds:
+    """The clouds that have a pose, of pairs that differ in the frame of their clouds alone.
+
+    With `deskew` those of sensors are deskewed where their points have times; somebody has done so with others.
+    """
     stamps, clouds, poses = [], [], []
     for pair in pairs:
         for index in np.flatnonzero(pair.covered()):
             stamp = int(pair.clouds.stamps_ns[index])
             stamps.append(stamp)
             poses.append(pair.T_world_sensor(stamp))
-            clouds.append((_cloud(pair, int(index), poses[-1]),))
+            clouds.append((_cloud(pair, int(index), poses[-1], deskew),))
     order = np.argsort(np.array(stamps, dtype=np.int64), kind="stable")
     times = np.array(stamps, dtype=np.int64)[order]
     return PlacedClouds(times, [clouds[index] for index in order], np.array(poses).reshape(-1, 4, 4)[order])
 
 
-def _cloud(pair: Pairing, index: int, T_world_sensor: se3.Matrix4) -> BagCloud:
+def _cloud(pair: Pairing, index: int, T_world_sensor: se3.Matrix4, deskew: bool) -> BagCloud:
     """A cloud of a pair; one that somebody has moved into another frame is taken back to its sensor."""
-    T_scan_cloud = None
+    clouds, stamp = pair.clouds, int(pair.clouds.stamps_ns[index])
+    cloud = BagCloud(clouds.places[index], clouds.message_type, clouds.encoding, stamp)
     if pair.cloud_frame is not None:
-        T_scan_cloud = se3.inverse(T_world_sensor) @ pair.cloud_frame.at(int(pair.clouds.stamps_ns[index]))
-    return BagCloud(pair.clouds.places[index], pair.clouds.message_type, pair.clouds.encoding, T_scan_cloud)
+        return replace(cloud, T_scan_cloud=se3.inverse(T_world_sensor) @ pair.cloud_frame.at(stamp))
+    return replace(cloud, motion=pair) if deskew and not _DESKEWED.search(clouds.name) else cloud
 
 
 def merged(first: PlacedClouds, others: Sequence[PlacedClouds]) -> Merged:

@@ -14,7 +14,7 @@ from revisit.core.sanity.finding import Finding
 from revisit.core.scan import Points, Scan
 from revisit.evaluation.datasets.bag_files import bag_files, open_files
 from revisit.evaluation.datasets.bag_message import Bag
-from revisit.evaluation.datasets.bag_notes import notes, notes_of_merged
+from revisit.evaluation.datasets.bag_notes import notes, notes_of_deskewing, notes_of_merged
 from revisit.evaluation.datasets.bag_topics import WANTED_TYPES, BagTopics, read_topics
 from revisit.evaluation.datasets.clock import check_clocks
 from revisit.evaluation.datasets.lidar_odometry import KISS_ICP, Report, odometry_of
@@ -79,10 +79,11 @@ def open_bag(path: Path, wanted: WantedTopics = WantedTopics(), report: Report |
     bag = open_files(files, WANTED_TYPES)
     found = read_topics(bag)
     pairs, said = _pairs(bag, found, wanted, report)
-    scans = placed(pairs)
+    scans = placed(pairs, wanted.deskew)
     others = [with_other_frames(pair, found, wanted) for pair in choose_beside(pairs[0], found, wanted)]
-    together = merged(scans, [placed(other) for other in others])
+    together = merged(scans, [placed(other, wanted.deskew) for other in others])
     told = [*notes(pairs, found, wanted, scans.stamps_ns, len(files)), *notes_of_merged(others, together, found)]
+    told += notes_of_deskewing(bag, scans)
     return BagRecording(
         files[0].stem if len(files) == 1 else path.resolve().name,
         bag, together.scans.clouds, scans.T_world_sensor, scans.stamps_ns, (*said, *told),

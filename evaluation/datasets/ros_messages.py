@@ -13,6 +13,7 @@ from revisit.core.geometry import se3
 from revisit.core.scan import Points
 from revisit.evaluation.datasets.bag_message import Encoding
 from revisit.formats.cloud import CloudLimits
+from revisit.formats.point_times import TIME_FIELDS, point_offsets
 from revisit.formats.pointcloud2 import FieldType, PackedCloud, PointField, decode_coordinates, decode_packed
 
 LIVOX_TYPES = tuple(
@@ -26,7 +27,10 @@ PATH_TYPES = ("nav_msgs/msg/Path",)
 TRANSFORM_TYPES = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 MAX_FIELDS = 64
 COORDINATES = ("x", "y", "z")
-LIVOX_POINT = tuple(PointField(name, 4 + 4 * index, FieldType.FLOAT32) for index, name in enumerate(COORDINATES))
+LIVOX_POINT = (
+    PointField("offset_time", 0, FieldType.UINT32),
+    *(PointField(name, 4 + 4 * index, FieldType.FLOAT32) for index, name in enumerate(COORDINATES)),
+)
 LIVOX_POINT_BYTES = 19
 MAX_TRANSFORMS = 10_000
 MAX_PATH_POSES = 10_000_000
@@ -124,6 +128,21 @@ def read_header(message: bytes, encoding: Encoding = "cdr") -> Header:
     return _Fields(message, encoding).header()
 
 
+@dataclass(frozen=True)
+class Sweep:
+    """A cloud whose points were taken one after the other: points (n, 3) float32, times (n,) since the stamp, ns."""
+
+    points: Points
+    offsets_ns: NDArray[np.int64]
+
+
+def read_sweep(message: bytes, message_type: str, encoding: Encoding = "cdr") -> Sweep | None:
+    """The points as `read_points` gives them, with their times; None where no field tells these."""
+    stamp = read_header(message, encoding).stamp_ns
+    offsets = point_offsets(_packed(message, message_type, encoding, (*COORDINATES, *TIME_FIELDS)), stamp)
+    return None if offsets is None else Sweep(read_points(message, message_type, encoding), offsets)
+
+
 def read_points(message: bytes, message_type: str, encoding: Encoding = "cdr") -> Points:
     """The points (n, 3) of a message of `CLOUD_TYPES`. Raises MalformedBody, BadField, TooLarge."""
     return decode_packed(_packed(message, message_type, encoding), CloudLimits()).points
@@ -134,11 +153,11 @@ def read_coordinates(message: bytes, message_type: str, encoding: Encoding = "cd
     return decode_coordinates(_packed(message, message_type, encoding), CloudLimits())
 
 
-def _packed(message: bytes, message_type: str, encoding: Encoding) -> PackedCloud:
-    """A cloud with its coordinates alone: faults of other fields cost no scan."""
+def _packed(message: bytes, message_type: str, encoding: Encoding, names: tuple[str, ...] = COORDINATES) -> PackedCloud:
+    """A cloud with the fields of such `names`, by default its coordinates: faults of other fields cost no scan."""
     fields = _Fields(message, encoding)
     fields.header()
-    return _livox(fields) if message_type in LIVOX_TYPES else _point_cloud_2(fields)
+    return _livox(fields) if message_type in LIVOX_TYPES else _point_cloud_2(fields, names)
 
 
 def _livox(fields: _Fields) -> PackedCloud:
@@ -157,12 +176,12 @@ def _livox(fields: _Fields) -> PackedCloud:
     return PackedCloud(LIVOX_POINT, step, count, data, big_endian=fields.big_endian)
 
 
-def _point_cloud_2(fields: _Fields) -> PackedCloud:
+def _point_cloud_2(fields: _Fields, names: tuple[str, ...]) -> PackedCloud:
     height, width = (int(value) for value in fields.numbers("I", 2))
     count = int(fields.number("I"))
     if count > MAX_FIELDS:
         raise MalformedBody(f"a cloud with {count} fields")
-    columns = tuple(column for column in (_column(fields) for _ in range(count)) if column.name in COORDINATES)
+    columns = tuple(column for column in (_column(fields) for _ in range(count)) if column.name in names)
     big_endian = bool(fields.number("B"))
     point_step, row_step = (int(value) for value in fields.numbers("I", 2))
     data = _without_padding(fields.raw(), height, width * point_step, row_step)

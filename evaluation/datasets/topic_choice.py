@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -28,12 +28,17 @@ _PACKETS = ("VelodyneScan", "PacketMsg", "RobosensePacket", "RslidarScan", "Hesa
 
 @dataclass(frozen=True)
 class WantedTopics:
-    """The user's choices for a bag; the rest is found out. `together` are topics whose clouds join those of `topic`."""
+    """The user's choices for a bag; the rest is found out.
+
+    `together` are topics whose clouds join those of `topic`. With `deskew` points that have times are moved to the
+    stamp of their cloud.
+    """
 
     topic: str | None = None
     odometry: str | None = None
     T_body_sensor: se3.Matrix4 | None = None
     together: tuple[str, ...] = ()
+    deskew: bool = field(default=True, compare=False)
 
 
 def choose(found: BagTopics, wanted: WantedTopics) -> Pairing:

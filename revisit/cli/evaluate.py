@@ -11,7 +11,7 @@ from revisit.cli.extras import needs
 from revisit.cli.inspect import warn
 from revisit.cli.options import LeaveDistance, PositiveRadius, Stride, Tau
 from revisit.cli.output import emit_table, progress_bar, refuse, reporter, say
-from revisit.cli.recordings import Format, Mounting, Odometry, Poses, Topic, opened
+from revisit.cli.recordings import Deskew, Format, Mounting, Odometry, Poses, Topic, opened
 
 if TYPE_CHECKING:
     from revisit.evaluation.datasets import Recording
@@ -30,6 +30,7 @@ def evaluate(
     odometry: Odometry = None,
     mounting: Mounting = None,
     poses: Poses = None,
+    deskew: Deskew = True,
     json: Annotated[Path | None, typer.Option("--json", help="Write rows and summary to this file.")] = None,
     tau: Tau = None,
     stride: Stride = None,
@@ -57,7 +58,7 @@ def evaluate(
         raise refuse("--ablation is none, no-implicit, bev-only or normals-only")
     if options.profile not in PROFILES:
         raise refuse("--profile is product or paper")
-    recording = opened(folder, file_format, topic, odometry, mounting, poses)
+    recording = opened(folder, file_format, topic, odometry, mounting, poses, deskew)
     warn(recording)
     _evaluate(recording, options, json)
 

@@ -17,7 +17,7 @@ from revisit.cli.ids import id_of, require_id
 from revisit.cli.inspect import warn, warn_of_findings
 from revisit.cli.options import GRPC, Grpc, Json, MapName
 from revisit.cli.output import emit_json, emit_table, progress_bar, refuse, signs, tell
-from revisit.cli.recordings import Format, Mounting, Odometry, Poses, Topic, opened
+from revisit.cli.recordings import Deskew, Format, Mounting, Odometry, Poses, Topic, opened
 from revisit.core.errors import RevisitError
 from revisit.sdk.errors import NotFound
 
@@ -124,6 +124,7 @@ def ingest(
     odometry: Odometry = None,
     mounting: Mounting = None,
     poses: Poses = None,
+    deskew: Deskew = True,
     scene_scale: Annotated[
         float | None, typer.Option(min=0.01, max=10.0, help="Size of a new map's scene compared with a street.")
     ] = None,
@@ -147,7 +148,7 @@ def ingest(
     require_id("--map", map_id)
     if session_id:
         require_id("--session", session_id)
-    recording = opened(folder, file_format, topic, odometry, mounting, poses)
+    recording = opened(folder, file_format, topic, odometry, mounting, poses, deskew)
     warn(recording)
     target = Target(grpc, map_id, session_id or id_of(recording.name, "--session"), scene_scale, profile, storey)
     try:

@@ -13,7 +13,7 @@ import typer
 from revisit.cli.extras import needs
 from revisit.cli.options import HTTP, Http, Json
 from revisit.cli.output import emit_json, emit_table, refuse, say, signs
-from revisit.cli.recordings import Format, Mounting, Odometry, Poses, Topic, opened
+from revisit.cli.recordings import Deskew, Format, Mounting, Odometry, Poses, Topic, opened
 
 if TYPE_CHECKING:
     from revisit.evaluation.datasets import Recording
@@ -30,6 +30,7 @@ def inspect(
     odometry: Odometry = None,
     mounting: Mounting = None,
     poses: Poses = None,
+    deskew: Deskew = True,
     picture: Annotated[Path | None, typer.Option(help="Draw the path and one scan to this PNG or SVG file.")] = None,
     http: Http = HTTP,
     json: Json = False,
@@ -41,7 +42,7 @@ def inspect(
     if _SESSION.fullmatch(recording) and not Path(recording).exists():
         _inspect_session(recording, http, json)
     elif Path(recording).exists():
-        _inspect_recording(Path(recording), (file_format, topic, odometry, mounting, poses), picture, json)
+        _inspect_recording(Path(recording), (file_format, topic, odometry, mounting, poses, deskew), picture, json)
     else:
         raise refuse(f"{recording} is no folder, no bag, and no maps/{{map}}/sessions/{{session}}")
 
@@ -66,7 +67,7 @@ def _inspect_session(name: str, http: str, as_json: bool) -> None:
 @needs("service")
 def _inspect_recording(
     folder: Path,
-    read_as: tuple[str, str | None, str | None, str | None, Path | None],
+    read_as: tuple[str, str | None, str | None, str | None, Path | None, bool],
     picture: Path | None,
     as_json: bool,
 ) -> None:

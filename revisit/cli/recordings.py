@@ -49,6 +49,15 @@ Poses = Annotated[
     ),
 ]
 
+Deskew = Annotated[
+    bool,
+    typer.Option(
+        "--deskew/--no-deskew",
+        help="Bags: move points that have times to the stamp of their cloud, by the odometry. --no-deskew for clouds "
+        "that were deskewed before.",
+    ),
+]
+
 
 def opened(
     folder: Path,
@@ -57,6 +66,7 @@ def opened(
     odometry: str | None,
     mounting: str | None,
     poses: Path | None = None,
+    deskew: bool = True,
 ) -> Recording:
     """The recording; which topics of a bag were taken, and why, goes to stderr. Exits for an unusable option."""
     signs.doing(f"reading {folder}")
@@ -65,7 +75,7 @@ def opened(
     if file_format not in (AUTO, *FORMATS):
         raise refuse(f"--format is one of {', '.join((AUTO, *FORMATS))}")
     first, *together = [name.strip() for name in (topic or "").split(",")]
-    wanted = WantedTopics(first or None, odometry, _transform(mounting), tuple(together))
+    wanted = WantedTopics(first or None, odometry, _transform(mounting), tuple(together), deskew)
     with progress_bar(quiet=odometry != KISS_ICP) as bar:
         recording = open_recording(folder, file_format, wanted, poses, reporter(bar))
     for note in notes_of(recording):

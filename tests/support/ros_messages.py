@@ -48,18 +48,23 @@ class Messages:
         return self.types["std_msgs/msg/Header"](stamp=time, frame_id=frame)
 
     def cloud(
-        self, points: np.ndarray, stamp_ns: int, frame: str, *, rows: int = 1, padding: int = 0, big: bool = False
-    ):
-        """x, y, z and a ring number a point, in `rows` rows with `padding` bytes behind each."""
-        kind = np.dtype({"names": ["x", "y", "z", "ring"], "formats": [">f4" if big else "<f4"] * 3 + ["u1"],
-                         "offsets": [0, 4, 8, 16], "itemsize": 20})  # fmt: skip
+        self, points: np.ndarray, stamp_ns: int, frame: str, *, rows: int = 1, padding: int = 0, big: bool = False,
+        offsets_ns: np.ndarray | None = None,
+    ):  # fmt: skip
+        """x, y, z, a time where it is given, and a ring number a point, in `rows` rows with `padding` behind each."""
+        order = ">" if big else "<"
+        kind = np.dtype({"names": ["x", "y", "z", "t", "ring"], "formats": [f"{order}f4"] * 3 + [f"{order}u4", "u1"],
+                         "offsets": [0, 4, 8, 12, 16], "itemsize": 20})  # fmt: skip
         records = np.zeros(len(points), kind)
+        if offsets_ns is not None:
+            records["t"] = offsets_ns
         for index, name in enumerate("xyz"):
             records[name] = points[:, index]
         width = len(points) // rows
         data = b"".join(records[row * width : (row + 1) * width].tobytes() + bytes(padding) for row in range(rows))
         field = self.types["sensor_msgs/msg/PointField"]
         fields = [field(name=name, offset=4 * index, datatype=7, count=1) for index, name in enumerate("xyz")]
+        fields += [] if offsets_ns is None else [field(name="t", offset=12, datatype=6, count=1)]
         message = self.types["sensor_msgs/msg/PointCloud2"](
             header=self.header(stamp_ns, frame), height=rows, width=width,
             fields=[*fields, field(name="ring", offset=16, datatype=2, count=1)], is_bigendian=big, point_step=20,

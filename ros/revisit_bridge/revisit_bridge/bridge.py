@@ -65,7 +65,9 @@ class Bridge:
         self._motion = Motion(parameters.max_jump_m, parameters.max_speed_m_s, parameters.max_gap_s)
         self._odometry = OdometryPoses(transforms) if parameters.odometry_topic else None
         source = self._odometry or TransformPoses(parameters.odom_frame, transforms)
-        self._clouds = WaitingClouds(source, parameters.pose_wait_s, parameters.max_waiting_clouds, now_s)
+        self._clouds = WaitingClouds(
+            source, parameters.pose_wait_s, parameters.max_waiting_clouds, now_s, parameters.deskew
+        )
         self._journey = Journey(LastScan.load(state_file))
         if self._journey.last is not None and not outbox.resume(self._journey.last.session_id):
             self._journey = Journey()
@@ -201,9 +203,9 @@ class Bridge:
 
         Raises RevisitError.
         """
-        points = points_of(posed.cloud)
         if posed.sensor_frame != self.odom_frame:
-            return points
+            return points_of(posed.cloud, posed.motion)
+        points = points_of(posed.cloud)
         if self._odometry is None:
             raise RevisitError(f"the clouds are registered in {self.odom_frame}: give those of the sensor")
         return se3.apply(se3.inverse(posed.T_odom_sensor), points.astype(np.float64)).astype(np.float32)

@@ -9,7 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from revisit.core.geometry import se3
+from revisit.core.geometry.deskew import SweepMotion, deskewed, knots
 from revisit.formats.cloud import CloudLimits
+from revisit.formats.point_times import point_offsets
 from revisit.formats.pointcloud2 import PackedCloud, PointField, decode_packed
 
 Points = NDArray[np.float32]
@@ -35,18 +37,32 @@ def frame(name: str) -> str:
     return name.removeprefix("/")
 
 
-def points_of(cloud: Any) -> Points:
+def points_of(cloud: Any, motion: SweepMotion | None = None) -> Points:
     """The finite points (n, 3) of a sensor_msgs/PointCloud2 that lie off the sensor's origin, metres.
 
-    Raises core.errors.RevisitError for fields or sizes that cannot be.
+    They are deskewed where the `motion` of the sensor is given. Raises core.errors.RevisitError for fields or sizes
+    that cannot be.
     """
-    columns = tuple(PointField(item.name, item.offset, item.datatype, item.count) for item in cloud.fields)
-    packed = PackedCloud(
-        columns, cloud.point_step, cloud.width, _rows(cloud), height=cloud.height, big_endian=bool(cloud.is_bigendian)
-    )
+    packed = _packed(cloud)
     points = decode_packed(packed, CloudLimits()).points
     kept = np.isfinite(points).all(axis=1) & (points != 0.0).any(axis=1)
-    return np.asarray(points[kept], dtype=np.float32)
+    offsets = None if motion is None else point_offsets(packed, stamp_ns(cloud.header))
+    if motion is None or offsets is None:
+        return np.asarray(points[kept], dtype=np.float32)
+    return deskewed(points[kept], offsets[kept], motion).astype(np.float32)
+
+
+def knots_of(cloud: Any) -> NDArray[np.int64] | None:
+    """The times since the stamp at which the pose of the sensor deskews a cloud; None where points have no times."""
+    offsets = point_offsets(_packed(cloud), stamp_ns(cloud.header))
+    return None if offsets is None else knots(offsets)
+
+
+def _packed(cloud: Any) -> PackedCloud:
+    columns = tuple(PointField(item.name, item.offset, item.datatype, item.count) for item in cloud.fields)
+    return PackedCloud(
+        columns, cloud.point_step, cloud.width, _rows(cloud), height=cloud.height, big_endian=bool(cloud.is_bigendian)
+    )
 
 
 def _rows(cloud: Any) -> bytes:

@@ -9,8 +9,12 @@ from dataclasses import dataclass, field
 from enum import Enum
 from typing import Any, Protocol
 
+import numpy as np
+from numpy.typing import NDArray
+
 from revisit.core.geometry import se3
-from revisit_bridge.messages import StampedPose, frame, stamp_ns
+from revisit.core.geometry.deskew import SweepMotion
+from revisit_bridge.messages import StampedPose, frame, knots_of, stamp_ns
 
 HISTORY_NS = 10 * 10**9
 
@@ -102,12 +106,22 @@ class OdometryPoses:
 
 @dataclass(frozen=True)
 class PosedCloud:
-    """A cloud message with the pose of its sensor, nanoseconds."""
+    """A cloud message with the pose of its sensor, nanoseconds; `motion` of the sensor meanwhile, where it is known."""
 
     cloud: Any
     sensor_frame: str
     stamp_ns: int
     T_odom_sensor: se3.Matrix4
+    motion: SweepMotion | None = None
+
+
+@dataclass(frozen=True)
+class _Waiting:
+    """A cloud, since when it waits, and at which times since its stamp poses are needed to deskew it."""
+
+    since_s: float
+    cloud: Any
+    knots_ns: NDArray[np.int64] | None
 
 
 @dataclass
@@ -115,19 +129,21 @@ class WaitingClouds:
     """Clouds in the order they came, handed on with their poses.
 
     A cloud whose pose is not known after `wait_s` of the monotonic clock `now_s`, or for which there is no more room,
-    is left out and counted in `left_out`.
+    is left out and counted in `left_out`. With `deskew`, a cloud whose points have times waits for the poses of all
+    of them; without these it is handed on as it is.
     """
 
     poses: PoseSource
     wait_s: float
     max_waiting: int
     now_s: Callable[[], float]
+    deskew: bool = False
     left_out: int = 0
-    _waiting: deque[tuple[float, Any]] = field(default_factory=deque)
+    _waiting: deque[_Waiting] = field(default_factory=deque)
 
     def take(self, cloud: Any) -> None:
         """The next cloud."""
-        self._waiting.append((self.now_s(), cloud))
+        self._waiting.append(_Waiting(self.now_s(), cloud, knots_of(cloud) if self.deskew else None))
         if len(self._waiting) > self.max_waiting:
             self._waiting.popleft()
             self.left_out += 1
@@ -136,14 +152,32 @@ class WaitingClouds:
         """The clouds in front whose poses are known; they wait no longer."""
         found = []
         while self._waiting:
-            since_s, cloud = self._waiting[0]
-            sensor_frame, stamp = frame(cloud.header.frame_id), stamp_ns(cloud.header)
+            first = self._waiting[0]
+            sensor_frame, stamp = frame(first.cloud.header.frame_id), stamp_ns(first.cloud.header)
             pose = self.poses.sensor_pose(sensor_frame, stamp)
-            if pose is Unknown.NOT_YET and self.now_s() - since_s < self.wait_s:
+            motion = None if isinstance(pose, Unknown) else self._motion(first, sensor_frame, stamp, pose)
+            not_yet = pose is Unknown.NOT_YET or motion is Unknown.NOT_YET
+            if not_yet and self.now_s() - first.since_s < self.wait_s:
                 break
             self._waiting.popleft()
             if isinstance(pose, Unknown):
                 self.left_out += 1
             else:
-                found.append(PosedCloud(cloud, sensor_frame, stamp, pose))
+                known = motion if isinstance(motion, SweepMotion) else None
+                found.append(PosedCloud(first.cloud, sensor_frame, stamp, pose, known))
         return found
+
+    def _motion(
+        self, waiting: _Waiting, sensor_frame: str, stamp: int, T_odom_sensor: se3.Matrix4
+    ) -> SweepMotion | Unknown | None:
+        """The motion of the sensor while the cloud was taken; None where points have no times."""
+        if waiting.knots_ns is None:
+            return None
+        T_sensor_odom = se3.inverse(T_odom_sensor)
+        poses = []
+        for offset in waiting.knots_ns[::-1]:  # the last one is known last
+            pose = self.poses.sensor_pose(sensor_frame, stamp + int(offset))
+            if isinstance(pose, Unknown):
+                return pose
+            poses.append(T_sensor_odom @ pose)
+        return SweepMotion(waiting.knots_ns, np.stack(poses[::-1]))

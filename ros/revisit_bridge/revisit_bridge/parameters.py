@@ -25,7 +25,10 @@ class Parameters:
     )
     spool_dir: str = _parameter("", "folder for scans that wait for the service; empty: ~/.revisit/spool")
     spool_max_mb: int = _parameter(4096, "MB that the clouds of one session may take on this disk")
-    cloud_topic: str = _parameter("points", "sensor_msgs/PointCloud2, deskewed, in the frame of the sensor")
+    cloud_topic: str = _parameter("points", "sensor_msgs/PointCloud2 in the frame of the sensor")
+    deskew: bool = _parameter(
+        True, "move points that have times to the stamp of their cloud; false: it was done before"
+    )
     odometry_topic: str = _parameter("", "nav_msgs/Odometry; empty: poses are taken from TF")
     odom_frame: str = _parameter("odom", "frame that moves smoothly, z up; with `odometry_topic` its header says it")
     map_frame: str = _parameter("map", "parent of the published transform")

@@ -105,6 +105,43 @@ def test_the_history_is_bounded(ros) -> None:
     assert len(poses._poses) <= 21
 
 
+def sweep(ros, stamp: int, timed: bool = True):
+    """World points (n, 3), and the cloud that a sensor on the body has of them, which moves meanwhile."""
+    world, offsets = np.random.default_rng(4).uniform(-30, 30, (300, 3)), np.arange(300) * 300_000
+    taken = zip(offsets, world, strict=True)
+    seen = np.array([se3.inverse(body_at(stamp + ns))[:3] @ [*point, 1.0] for ns, point in taken])
+    cloud = ros.cloud(seen.astype(np.float32), stamp, "base_link", offsets_ns=offsets if timed else None)
+    return se3.apply(se3.inverse(body_at(stamp)), world), cloud
+
+
+def test_points_with_times_are_moved_to_the_stamp_once_the_poses_are_there(ros) -> None:
+    at_once, cloud = sweep(ros, 2 * SECOND // 10)
+    poses = odometry_at(ros, 1, 2)
+    waiting = WaitingClouds(poses, wait_s=2.0, max_waiting=3, now_s=lambda: 0.0, deskew=True)
+    waiting.take(cloud)
+    assert waiting.ready() == []
+    poses.take(pose_of(ros.odometry(body_at(3 * SECOND // 10), 3 * SECOND // 10)))
+    (posed,) = waiting.ready()
+    assert np.abs(points_of(posed.cloud, posed.motion) - at_once).max() < 2e-3
+    assert np.abs(points_of(posed.cloud) - at_once).max() > 0.3
+
+
+def test_points_without_times_do_not_wait_for_more_than_their_pose(ros) -> None:
+    waiting = WaitingClouds(odometry_at(ros, 1, 2), 2.0, max_waiting=3, now_s=lambda: 0.0, deskew=True)
+    waiting.take(sweep(ros, 2 * SECOND // 10, timed=False)[1])
+    assert [posed.motion for posed in waiting.ready()] == [None]
+
+
+def test_a_cloud_whose_last_poses_do_not_come_is_handed_on_as_it_is(ros) -> None:
+    clock = [0.0]
+    waiting = WaitingClouds(odometry_at(ros, 1, 2), 2.0, max_waiting=3, now_s=lambda: clock[0], deskew=True)
+    waiting.take(sweep(ros, 2 * SECOND // 10)[1])
+    assert waiting.ready() == []
+    clock[0] = 3.0
+    (posed,) = waiting.ready()
+    assert posed.motion is None and waiting.left_out == 0
+
+
 def test_clouds_wait_for_their_pose_and_keep_their_order(ros) -> None:
     clock, poses = [0.0], odometry_at(ros, 1)
     clouds = WaitingClouds(poses, wait_s=2.0, max_waiting=3, now_s=lambda: clock[0])

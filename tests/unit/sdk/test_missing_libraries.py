@@ -7,6 +7,7 @@ import sys
 import pytest
 
 from revisit.cli.extras import needs
+from revisit.evaluation.described_submaps import in_processes
 
 
 @pytest.fixture
@@ -33,3 +34,13 @@ def test_an_import_that_fails_inside_revisit_is_no_missing_library():
 
     with pytest.raises(ImportError, match="Nothing"):
         broken()
+
+
+def doubled(context: int, task: int) -> int:
+    if sys.modules.get("torch") is not None:
+        raise AssertionError("torch was imported")
+    return context * task
+
+
+def test_processes_that_evaluate_the_product_need_no_torch():
+    assert list(in_processes(doubled, 2, [1, 2, 3], jobs=2)) == [2, 4, 6]

@@ -1,0 +1,63 @@
+"""When each point of a sweep was taken, as drivers of spinning and solid-state LiDARs write it beside the point."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from revisit.core.errors import MalformedBody
+from revisit.formats.pointcloud2 import Encoding, PackedCloud, PointField
+
+TIME_FIELDS = ("t", "time", "timestamp", "offset_time", "time_stamp", "time_offset")
+"""Ouster `t`, Velodyne `time`, Hesai and RoboSense `timestamp`, Livox `offset_time` and `timestamp`."""
+
+SHORTEST_SWEEP_NS, LONGEST_SWEEP_NS = 2_000_000, 1_000_000_000
+"""Times that spread by less or more are not believed to be those of one sweep."""
+
+_UNITS_NS = (1e9, 1e6, 1e3, 1.0)
+
+
+def point_offsets(packed: PackedCloud, stamp_ns: int) -> NDArray[np.int64] | None:
+    """The times (n,) of the points since `stamp_ns`, nanoseconds; None where no field tells them.
+
+    Whole numbers are nanoseconds; the unit of others is that in which they spread as a sweep does. They count from the
+    stamp, or from where the stamp does. A point whose time cannot be one of the sweep has that of the stamp.
+    """
+    field = next((item for item in packed.fields if item.name.lower() in TIME_FIELDS and item.count == 1), None)
+    values = None if field is None or packed.encoding != Encoding.RAW else _values(packed, field)
+    if field is None or values is None or len(values) == 0:
+        return None
+    for unit_ns in _UNITS_NS if field.code.startswith("f") else _UNITS_NS[-1:]:
+        for origin_ns in (0, stamp_ns):
+            found = _of_a_sweep(values * unit_ns - origin_ns)
+            if found is not None:
+                return found
+    return None
+
+
+def _values(packed: PackedCloud, field: PointField) -> NDArray[np.float64] | None:
+    """The field of each point; None where it does not lie within the points, or these are not all there."""
+    count = packed.width * packed.height
+    try:
+        outside = field.offset < 0 or field.end > packed.point_step or count * packed.point_step != len(packed.data)
+    except MalformedBody:
+        return None
+    if outside:
+        return None
+    code = (">" if packed.big_endian else "<") + field.code
+    record = np.dtype({"names": ["t"], "formats": [code], "offsets": [field.offset], "itemsize": packed.point_step})
+    rows: NDArray[Any] = np.frombuffer(packed.data, record, count)
+    return rows["t"].astype(np.float64)
+
+
+def _of_a_sweep(offsets_ns: NDArray[np.float64]) -> NDArray[np.int64] | None:
+    """The times (n,) of a sweep; None where these are none."""
+    near = np.abs(offsets_ns) <= LONGEST_SWEEP_NS
+    if 2 * near.sum() < len(near):
+        return None
+    spread = float(np.ptp(offsets_ns[near]))
+    if not SHORTEST_SWEEP_NS <= spread <= LONGEST_SWEEP_NS:
+        return None
+    return np.where(near, offsets_ns, 0.0).astype(np.int64)
