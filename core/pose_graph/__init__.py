@@ -9,6 +9,7 @@ placement      where sessions lie to each other before optimisation
 least_squares  Levenberg and Marquardt, graduated non-convexity
 heading_bias   odometry whose heading turns steadily, by loops within its session
 steady_faults  scale, slope and heading of odometry, by loops with other sessions
+unconfirmed    steps that may be broken, and loops that these may explain, by the loops in the map
 broken_steps   slips, jumps, turns and tilts of odometry, by loops on both sides
 faults         faults of a session's odometry, and their mending
 optimisation   the most likely poses, and which loops they rest on

@@ -21,6 +21,7 @@ from revisit.core.pose_graph.graph import LoopEdge, Node, PoseGraph, Trajectory
 from revisit.core.pose_graph.least_squares import graduated, minimise
 from revisit.core.pose_graph.normal_equations import Edges
 from revisit.core.pose_graph.support import STRETCH, joined_stretches, votes
+from revisit.core.pose_graph.unconfirmed import Kept
 
 Array64 = NDArray[np.float64]
 
@@ -64,16 +65,22 @@ _LOOSE = 1e-6
 
 
 def broken_steps(
-    graph: PoseGraph, loops: Collection[int], T_map_submap: dict[str, Array64], *, odd: bool = False
+    graph: PoseGraph,
+    kept: Collection[int],
+    left: Collection[int],
+    T_map_submap: dict[str, Array64],
+    *,
+    odd: bool = False,
 ) -> list[Mending]:
     """The broken steps of sessions that share a frame, beyond doubt; poses (n, 4, 4) of each to begin with.
 
-    `loops`, by number, are those that may be right: within these sessions, and with others beside them that agree.
-    Asked are all steps or the `odd` ones: which of two sessions goes wrong, and where between two loops, no loop tells,
-    but the step that is unlike those beside it is rather the one.
+    Of loops within these sessions, by number, `kept` are those in the map, and `left` others that may be right: with
+    loops beside them that agree. Asked are all steps or the `odd` ones: which of two sessions goes wrong, and where
+    between two loops, no loop tells, but the step that is unlike those beside it is rather the one.
     """
-    held = _Held.of(graph, loops, T_map_submap, odd=odd)
-    if not held.broken.any() or held.explained < EXPLAINED:
+    asked = _Asked.of(graph, kept, left, T_map_submap, odd=odd)
+    held = asked.held() if asked.most_explained >= EXPLAINED else None
+    if held is None or not held.broken.any() or held.explained < EXPLAINED:
         return []
     events = [one for track in held.tracks for one in _events(held, track)]
     doubtful = [one for one in events if not _is_believed(one, events)]
@@ -102,38 +109,73 @@ def is_bent(graph: PoseGraph, T_map_submap: dict[str, Array64]) -> bool:
 
 
 @dataclass(frozen=True)
-class _Held:
-    """Result of graduated non-convexity over steps and loops: poses by session, broken steps, loops that hold, and the
-    share of all places that these show.
+class _Asked:
+    """A search: sessions with the poses (n, 4, 4) to begin with, their steps and which of them may be broken, and loops
+    with their votes (l,), of which some cannot hold whatever is broken.
     """
+
+    tracks: tuple[Trajectory, ...]
+    start: Array64
+    steps: Edges
+    free: NDArray[np.bool_]
+    loops: tuple[LoopEdge, ...]
+    edges: Edges
+    votes: Array64
+    may_hold: NDArray[np.bool_]
+
+    @classmethod
+    def of(
+        cls,
+        graph: PoseGraph,
+        kept: Collection[int],
+        left: Collection[int],
+        T_map_submap: dict[str, Array64],
+        *,
+        odd: bool,
+    ) -> _Asked:
+        """By the steps of the sessions and the loops of these numbers."""
+        tracks = tuple(one for one in graph.trajectories if one.session in T_map_submap)
+        nodes = [Node(one.session, ordinal) for one in tracks for ordinal in range(len(one))]
+        rows = {node: row for row, node in enumerate(nodes)}
+        numbers = sorted({*kept, *left})
+        loops = tuple(graph.loops[number] for number in numbers)
+        steps, edges = Edges.of_steps(tracks, rows), Edges.of_loops(loops, rows)
+        start, in_map = np.concatenate([T_map_submap[one.session] for one in tracks]), np.isin(numbers, list(kept))
+        map_so_far = Kept(steps, edges.chosen(in_map), start)
+        free = np.concatenate([_odd(one) | (not odd) for one in tracks])
+        may_hold = in_map | map_so_far.may_hold(edges)
+        return cls(tracks, start, steps, free, loops, edges, votes(joined_stretches(loops)), may_hold)
+
+    @property
+    def most_explained(self) -> float:
+        """The share of all places, at most, that can hold."""
+        return float(np.average(self.may_hold, weights=self.votes))
+
+    def held(self) -> _Held:
+        """What holds by graduated non-convexity over the free steps and the loops that may hold."""
+        chosen = np.flatnonzero(self.may_hold)
+        edges = self.steps.joined(self.edges.chosen(chosen))
+        known = np.concatenate([~self.free, np.zeros(len(chosen), bool)])
+        poses = graduated(edges.chosen(np.argsort(~known, kind="stable")), int(known.sum()), 0, self.start)
+        holds = known | (edges.squared_errors(poses) < BROKEN)
+        poses = minimise(edges.weighted(np.where(holds, 1.0, _LOOSE)), 0, poses)
+        holds = known | (edges.squared_errors(poses) < BROKEN)
+        right = chosen[holds[len(self.steps) :]]
+        by_session = np.split(poses, np.cumsum([len(one) for one in self.tracks])[:-1])
+        named = {one.session: its for one, its in zip(self.tracks, by_session, strict=True)}
+        explained = float(self.votes[right].sum() / self.votes.sum())
+        return _Held(self.tracks, named, ~holds[: len(self.steps)], tuple(self.loops[n] for n in right), explained)
+
+
+@dataclass(frozen=True)
+class _Held:
+    """Result of a search: poses by session, broken steps, loops that hold, and the share of places that these show."""
 
     tracks: tuple[Trajectory, ...]
     poses: dict[str, Array64]
     broken: NDArray[np.bool_]
     loops: tuple[LoopEdge, ...]
     explained: float
-
-    @classmethod
-    def of(cls, graph: PoseGraph, loops: Collection[int], T_map_submap: dict[str, Array64], *, odd: bool) -> _Held:
-        """By the steps of the sessions and the loops of these numbers; any loop may be wrong, any step or odd step."""
-        tracks = tuple(one for one in graph.trajectories if one.session in T_map_submap)
-        nodes = [Node(one.session, ordinal) for one in tracks for ordinal in range(len(one))]
-        rows = {node: row for row, node in enumerate(nodes)}
-        asked = [graph.loops[number] for number in sorted(loops)]
-        steps = Edges.of_steps(tracks, rows)
-        edges = steps.joined(Edges.of_loops(asked, rows))
-        known = np.concatenate([*(~_odd(one) & odd for one in tracks), np.zeros(len(asked), bool)])
-        start = np.concatenate([T_map_submap[one.session] for one in tracks])
-        poses = graduated(edges.chosen(np.argsort(~known, kind="stable")), int(known.sum()), 0, start)
-        holds = known | (edges.squared_errors(poses) < BROKEN)
-        poses = minimise(edges.weighted(np.where(holds, 1.0, _LOOSE)), 0, poses)
-        holds = known | (edges.squared_errors(poses) < BROKEN)
-        kept = tuple(one for one, its in zip(asked, holds[len(steps) :], strict=True) if its)
-        by_session = np.split(poses, np.cumsum([len(one) for one in tracks])[:-1])
-        named = {one.session: its for one, its in zip(tracks, by_session, strict=True)}
-        counts = votes(joined_stretches(asked))
-        explained = float(np.average(holds[len(steps) :], weights=counts))
-        return cls(tracks, named, ~holds[: len(steps)], kept, explained)
 
     def broken_of(self, track: Trajectory) -> NDArray[np.int64]:
         """The broken steps of a session, by the submap that they begin at."""

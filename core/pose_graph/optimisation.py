@@ -202,7 +202,7 @@ def _broken(graph: PoseGraph, answer: OptimisedGraph, *, odd: bool = False) -> l
         kept = {n for n in inside if answer.loops[n] is GraphState.IN_MAP}
         left = {n for n in supported.intersection(inside) - kept if shows_a_fault(graph.loops[n], poses)}
         if left or is_bent(graph, poses):
-            found += broken_steps(graph, kept | left, poses, odd=odd)
+            found += broken_steps(graph, kept, left, poses, odd=odd)
     return found
 
 
