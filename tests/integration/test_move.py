@@ -19,9 +19,12 @@ from revisit.service.engines.local.sqlite.migration import migrate
 from revisit.service.engines.move import MoveRefused, digest, move_blobs, move_rows, require_empty
 from revisit.service.engines.postgres import connections as postgres
 from revisit.service.engines.postgres.transactions import PostgresTransactions
+from revisit.service.engines.s3.blobs import S3BlobStore
 from revisit.service.features.audit.calls import judge
 from tests.support.credentials import a_key
+from tests.support.live_service import connected, live_service, published_drives
 from tests.support.postgres import shared_server
+from tests.support.s3 import nanio, variables
 from tests.support.service_world import SESSION, TENANT, _world, open_session, policy, sqlite_world, submap
 from tests.support.stepped_clock import SteppedClock
 
@@ -153,6 +156,39 @@ def test_a_person_moves_an_installation_by_typing_and_a_served_one_is_refused(ho
     assert sorted(path.name for path in (tmp_path / "back" / "blobs").rglob("*") if path.is_file()) == sorted(
         path.name for path in (tmp_path / "there" / "blobs").rglob("*") if path.is_file()
     )
+
+
+def test_what_a_client_downloads_is_the_same_from_files_from_a_bucket_and_from_files_again(
+    tmp_path, server, monkeypatch
+):
+    there, run = server.made_database(), CliRunner()
+    for name, value in variables(nanio().address).items():
+        monkeypatch.setenv(name, value)
+    bucket = f"s3://{nanio().new_bucket()}/fleet"
+    first = sqlite_world(tmp_path / "first")
+    before = downloaded(first, tmp_path, drive=True)
+    to_bucket = ["move", "--home", str(tmp_path / "first"), "--to-blobs", bucket, "--to-database"]
+    moved = run.invoke(app, [*to_bucket, there.render_as_string(hide_password=False)])
+    assert moved.exit_code == 0, moved.output
+    clock = SteppedClock()
+    transactions = PostgresTransactions(there, lease_ms=10_000, clock=clock, now_ms=lambda _: clock.ms)
+    assert downloaded(_world(transactions, S3BlobStore(bucket), policy(), clock), tmp_path) == before
+    back = ["move", "--home", str(tmp_path / "first"), "--to-home", str(tmp_path / "back")]
+    of_cluster = {"REVISIT_DATABASE_URL": there.render_as_string(hide_password=False), "REVISIT_BLOB_URL": bucket}
+    returned = run.invoke(app, back, env=of_cluster)
+    assert returned.exit_code == 0, returned.output
+    assert downloaded(sqlite_world(tmp_path / "back"), tmp_path) == before
+
+
+def downloaded(world, folder, *, drive=False):
+    """The bytes of a map file and of a mesh, and the loops, as a client gets them; the world is closed then."""
+    with closing(world.context.transactions), live_service(world) as service, connected(service, "rest") as client:
+        published = published_drives(client) if drive else client.map_files("town")[0]
+        client.download_map_file(published, folder / "town.rvmap")
+        mesh = client.download("maps/town/sessions/monday/submaps/s1", "mesh")
+        loops = sorted((loop.name, loop.state, loop.score) for loop in client.loop_closures("maps/town", state="ALL"))
+        assert len(loops) >= 3
+        return (folder / "town.rvmap").read_bytes(), mesh, loops
 
 
 def test_without_a_new_place_nothing_is_moved(home):

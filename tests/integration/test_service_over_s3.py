@@ -26,7 +26,7 @@ from revisit.service.features.search.calls import LocalizeQuery
 from revisit.service.features.upkeep.sweeping import collect, sweep
 from revisit.service.ports.disk import UnlimitedDisk
 from revisit.service.settings import Settings
-from tests.support.live_service import connected, live_service
+from tests.support.live_service import connected, live_service, published_drives
 from tests.support.patience import eventually
 from tests.support.processes import ROOT
 from tests.support.s3 import moto, nanio, variables
@@ -36,9 +36,7 @@ from tests.support.service_world import (
     TENANT,
     answered,
     cloud,
-    cloud_points,
     described,
-    pose,
     posted,
     sqlite_world,
     submap,
@@ -84,21 +82,10 @@ async def swept(world) -> int:
     return await collect(world.context.storage, 0.0)
 
 
-def driven(client):
-    """A map of two drives through the same three places; it has a version and a file."""
-    town = client.create_map("town", leave_distance_m=0)
-    for name in ("monday", "tuesday"):
-        session = client.create_session(town, name)
-        for place in range(1, 4):
-            client.wait(client.post_submap(session, f"s{place}", cloud_points(place), pose(5.0 * place), place))
-    client.wait(client.optimise_map(town.name))
-    return client.get_map_file(client.wait(client.publish_map(town.name)).result["map_file"])
-
-
 @pytest.mark.parametrize("transport", ["rest", pytest.param("grpc", marks=pytest.mark.slow)])
 def test_a_map_is_driven_downloaded_and_deleted_and_the_bucket_is_left_empty(world, bucket, tmp_path, transport):
     with live_service(world) as service, connected(service, transport) as client:
-        published = driven(client)
+        published = published_drives(client)
         assert {loop.state for loop in client.loop_closures("maps/town", state="ALL")} >= {"ACCEPTED"}
         client.download_map_file(published, tmp_path / "town.rvmap")
         assert hashlib.sha256((tmp_path / "town.rvmap").read_bytes()).hexdigest() == published.map_hash

@@ -20,7 +20,7 @@ from revisit.service.rest.app import create_app
 from revisit.service.rest.limits import HttpLimits
 from revisit.service.rest.slow_clients import uvicorn_limits
 from tests.support.patience import PATIENCE_S
-from tests.support.service_world import World, memory_world
+from tests.support.service_world import World, cloud_points, memory_world, pose
 
 
 class Working(threading.Event):
@@ -126,3 +126,14 @@ def _work(service: LiveService, stop: threading.Event) -> None:
             time.sleep(0.01)
         else:
             recognition.run(lease)
+
+
+def published_drives(client):
+    """The file of a map of two drives through the same three places."""
+    town = client.create_map("town", leave_distance_m=0)
+    for name in ("monday", "tuesday"):
+        session = client.create_session(town, name)
+        for place in range(1, 4):
+            client.wait(client.post_submap(session, f"s{place}", cloud_points(place), pose(5.0 * place), place))
+    client.wait(client.optimise_map(town.name))
+    return client.get_map_file(client.wait(client.publish_map(town.name)).result["map_file"])
