@@ -11,6 +11,7 @@ from google.protobuf.descriptor import Descriptor, FieldDescriptor
 from revisit.api.http_form import spelling
 from revisit.sdk import own_resources
 from revisit.v1 import (
+    anchor_pb2,
     event_pb2,
     loop_closure_pb2,
     map_file_pb2,
@@ -28,6 +29,7 @@ from revisit.v1.comments import COMMENTS
 PATH = "revisit/sdk/resources.py"
 
 MADE = (
+    anchor_pb2.GeodeticPosition, anchor_pb2.Anchor, anchor_pb2.Georeference,
     map_pb2.LoopPolicy, map_pb2.Map, retention_pb2.RetentionPolicy, retention_pb2.RetentionOutcome,
     retention_pb2.RetentionReport, retention_pb2.MapRetention,
     robot_pb2.Robot, session_pb2.OdometryFault, session_pb2.Finding, session_pb2.NoLoops, session_pb2.Session,
@@ -50,6 +52,7 @@ NAMES = {
 """Messages and fields with another name in the SDK."""
 
 NONE = {
+    "Anchor.state", "Anchor.reason",
     "Session.robot", "Session.storey", "Submap.model_version", "LocalizedCandidate.reason", "LocalizeResponse.session",
     "LoopClosure.reason", "LoopClosure.graph_state", "LoopClosureEvent.reason", "LoopClosureEvent.graph_state",
     "LoopClosureEvent.map_version", "MapVersion.restored_from", "MapVersion.operation", "WebhookDelivery.status",
@@ -59,9 +62,13 @@ NONE = {
 
 ALWAYS = {
     "Map.loop_policy", "MapRetention.policy",
+    "Anchor.t_odom_sensor", "Georeference.t_enu_map",
     "Submap.t_odom_submap", "MapVersion.summary", "SubmapPose.t_map_submap", "Correction.t_map_odom",
 }  # fmt: skip
-"""Messages and transforms that are never absent. Points and JSON never are."""
+"""Messages and transforms that are never absent."""
+
+POINTS = {"Anchor.local_m", "Anchor.residual_m"}
+"""Points that may be absent; all others, and JSON, never are."""
 
 NOT_COMPARED = {"MapMerge.report"}
 
@@ -150,7 +157,7 @@ def _is_optional(of: FieldDescriptor, key: str) -> bool:
     if of.is_repeated:
         return False
     if of.message_type is not None:
-        return of.message_type.name not in ("Vector3", "Struct") and key not in ALWAYS
+        return key in POINTS or (of.message_type.name not in ("Vector3", "Struct") and key not in ALWAYS)
     return of.has_presence or key in NONE
 
 

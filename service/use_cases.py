@@ -14,6 +14,7 @@ from revisit.service.capacity.byte_budget import ByteBudget
 from revisit.service.context import ServiceContext
 from revisit.service.domain.identity import DEFAULT_TENANT, SessionKey, SubmapKey, TenantId
 from revisit.service.domain.policy import Policy
+from revisit.service.features.anchors.calls import Anchors
 from revisit.service.features.audit.calls import AuditLog
 from revisit.service.features.catalogue.downloads import Rendering
 from revisit.service.features.catalogue.maps import Maps
@@ -55,6 +56,7 @@ class UseCases:
     maps: Maps
     robots: Robots
     sessions: Sessions
+    anchors: Anchors
     scans: Scans
     posting: SubmapPosting
     submaps: Submaps
@@ -96,6 +98,7 @@ class UseCases:
             maps=Maps(context, of.erasure, of.index),
             robots=Robots(context),
             sessions=Sessions(context, of.erasure),
+            anchors=Anchors(context),
             scans=Scans(context, of.decoder, of.in_flight),
             posting=SubmapPosting(context, of.decoder),
             submaps=Submaps(context, rendering, SubmapMeshes(context, answers)),

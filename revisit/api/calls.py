@@ -19,6 +19,7 @@ from google.protobuf.message_factory import GetMessageClass
 
 from revisit.api.scopes import ADMIN, INGEST, QUERY, READ, Scope
 from revisit.v1 import (
+    anchor_pb2,
     event_pb2,
     ingest_pb2,
     loop_closure_pb2,
@@ -168,6 +169,14 @@ _TABLE = (
         Row("ListSubmaps", READ, "GET /v1/{parent=maps/*/sessions/*}/submaps"),
         Row("DownloadSubmap", QUERY, "GET /v1/{name=maps/*/sessions/*/submaps/*}:download", form=Form.FILE),
         Row("DeleteSubmap", ADMIN, "DELETE /v1/{name=maps/*/sessions/*/submaps/*}"),
+    ),
+    *_calls(
+        anchor_pb2,
+        "anchors",
+        # Two hundred, written with all digits.
+        Row("PostAnchors", INGEST, "POST /v1/{parent=maps/*/sessions/*}/anchors", json_bytes=256 * 2**10),
+        Row("ListAnchors", READ, "GET /v1/{parent=maps/*/sessions/*}/anchors"),
+        Row("DeleteAnchor", ADMIN, "DELETE /v1/{name=maps/*/sessions/*/anchors/*}"),
     ),
     *_calls(ingest_pb2, "scans", Row("StreamScans", INGEST, cost=Cost.SCANS)),
     *_calls(

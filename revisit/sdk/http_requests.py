@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -36,11 +36,11 @@ def http_request(call: Call, request: Any) -> HttpRequest:
     path = NAMED.sub(lambda found: str(getattr(request, found["field"])), rule)
     named = found["field"] if (found := NAMED.search(rule)) else ""
     if "cloud" in request.DESCRIPTOR.fields_by_name and request.HasField("cloud"):
-        return HttpRequest(verb, path, cloud_arguments(request.cloud, dict(_spelled(request, named, _in_query))))
+        return HttpRequest(verb, path, cloud_arguments(request.cloud, dict(_spelled(request, named))))
     if verb == "POST":
         has_body = any(one.name != named for one in request.DESCRIPTOR.fields)
         return HttpRequest(verb, path, {"json": _body(request, named)} if has_body else {})
-    return HttpRequest(verb, path, {"params": dict(_spelled(request, named, _in_query))})
+    return HttpRequest(verb, path, {"params": dict(_spelled(request, named))})
 
 
 def cloud_arguments(cloud: cloud_pb2.Cloud, params: Json) -> Json:
@@ -56,44 +56,46 @@ def pose_text(pose: geometry_pb2.Transform) -> str:
 
 
 def _body(request: Any, named: str) -> Json:
-    body = dict(_spelled(request, named, _in_body))
+    body = dict(_spelled(request, named))
     if "place_descriptor" in request.DESCRIPTOR.fields_by_name and request.HasField("place_descriptor"):
         body["descriptor"] = list(request.place_descriptor.vector)
         body["model_version"] = request.place_descriptor.model_version
     return body
 
 
-def _spelled(request: Message, named: str, value_of: Callable[[Any, Any], Any]) -> Iterator[tuple[str, Any]]:
+def _spelled(request: Message, named: str) -> Iterator[tuple[str, Any]]:
     """Names and values over HTTP of the fields that are set."""
     for one, value in request.ListFields():
         if one.name == named or one.name in NOT_FIELDS:
             continue
         name, resource = spelling(one)
-        yield name, value.rpartition("/")[2] if resource else value_of(one, value)
+        yield name, value.rpartition("/")[2] if resource else _value(one, value)
     for required in request.DESCRIPTOR.fields:
         if required.name in SENT_ALWAYS:
             yield required.name, getattr(request, required.name)
 
 
-def _in_query(one: FieldDescriptor, value: Any) -> Any:
-    if is_point(one) and not one.is_repeated:
-        return ",".join(repr(number) for number in (value.x, value.y, value.z))
-    return _in_body(one, value)
-
-
-def _in_body(one: FieldDescriptor, value: Any) -> Any:
-    """A value as the JSON of requests, in which 64-bit integers are numbers."""
+def _value(one: FieldDescriptor, value: Any) -> Any:
+    """A value as query strings and the JSON of requests have it, in which 64-bit integers are numbers."""
     if is_transform(one):
         return pose_text(value)
     if is_point(one):
-        points = value if one.is_repeated else [value]
-        return [number for point in points for number in (point.x, point.y, point.z)]
+        return [number for point in value for number in _numbers(point)] if one.is_repeated else _point_text(value)
     if one.is_repeated:
         return [_one(one, item) for item in value]
     return _one(one, value)
 
 
+def _numbers(point: geometry_pb2.Vector3) -> tuple[float, float, float]:
+    return point.x, point.y, point.z
+
+
+def _point_text(point: geometry_pb2.Vector3) -> str:
+    """x,y,z."""
+    return ",".join(map(repr, _numbers(point)))
+
+
 def _one(one: FieldDescriptor, value: Any) -> Any:
     if one.message_type is not None:
-        return {part.name: _in_body(part, item) for part, item in value.ListFields()}
+        return {spelling(part)[0]: _value(part, item) for part, item in value.ListFields()}
     return value if one.enum_type is None else one.enum_type.values_by_number[value].name

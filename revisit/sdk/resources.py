@@ -22,6 +22,71 @@ from revisit.sdk.reading import Json, Matrix4, Resource, covariance_of, read_by
 
 
 @dataclass(frozen=True, kw_only=True)
+class GeodeticPosition(Resource):
+    """A place on earth, WGS 84."""
+
+    latitude_deg: float = 0.0
+    """North of the equator, degrees: -90 to 90."""
+    longitude_deg: float = 0.0
+    """East of Greenwich, degrees: -180 to 180."""
+    altitude_m: float = 0.0
+    """Above the ellipsoid, metres: -10000 to 100000."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Anchor(Resource):
+    """The measured place of a point of the robot at one time, in the world: x east, y north, z up from the map's
+    origin.
+    """
+
+    name: str = ""
+    """maps/{map}/sessions/{session}/anchors/{anchor}"""
+    kind: str = ""
+    """GNSS, CONTROL_POINT or KNOWN_POSE."""
+    stamp_ns: int = 0
+    """When the robot was there: 0 to 9223372036854775807."""
+    geodetic: GeodeticPosition | None = None
+    """The place on earth, or"""
+    local_m: tuple[float, float, float] | None = None
+    """in metres east, north and above the origin of the map."""
+    covariance_enu: tuple[float, ...] = ()
+    """3 x 3, row by row, of east, north and up, m^2."""
+    offset_m: tuple[float, float, float]
+    """The point in the frame of the sensor, metres."""
+    T_odom_sensor: Matrix4 = field(compare=False)
+    """The sensor in the odometry frame of the session at that time."""
+    heading_rad: float | None = None
+    """The heading of the sensor's x axis, counter-clockwise from east, radians: -10 to 10. KNOWN_POSE needs it."""
+    heading_sigma_rad: float | None = None
+    """Its standard deviation: 0.0001 to 1."""
+    state: str | None = None
+    """IN_MAP, SET_ASIDE or NOT_ALIGNED."""
+    reason: str | None = None
+    """DISAGREES; or why nothing is aligned: TOO_FEW, NOT_SPREAD, MOSTLY_DISAGREE. Empty where it holds the map."""
+    residual_m: tuple[float, float, float] | None = None
+    """The place less where the map has the point; absent where nothing is aligned."""
+    created_at_ns: int = 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Georeference(Resource):
+    """Where a frame of a map lies on earth, by the anchors that hold it."""
+
+    frame: str = ""
+    """The frame of the map."""
+    T_enu_map: Matrix4 = field(compare=False)
+    """From the frame to metres east, north and above the origin of the map."""
+    covariance: Matrix4 = field(compare=False, metadata=read_by(covariance_of))
+    """(6, 6) of (x, y, z, rx, ry, rz), metres and radians; NaN where the graph does not tell it."""
+    anchors: int = 0
+    """Anchors that hold the frame,"""
+    of_anchors: int = 0
+    """of so many."""
+    residual_m: float = 0.0
+    """Root mean square of their residuals across the ground, metres."""
+
+
+@dataclass(frozen=True, kw_only=True)
 class LoopPolicy(Resource):
     """Which loop closures are accepted. In a request, absent fields are as the service is configured."""
 
@@ -59,6 +124,8 @@ class Map(Resource):
     """So far a drive must have been from a place, before it comes back, for a loop within the drive, metres."""
     profile: str = ""
     """The form of the method that describes its submaps: product, or paper."""
+    origin: GeodeticPosition | None = None
+    """Where its anchors measure from; absent before the first geodetic one."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -501,6 +568,8 @@ class MapVersionSummary(Resource):
     refused_joins: tuple[RefusedJoin, ...] = ()
     odometry_faults: tuple[OdometryFault, ...] = ()
     """Faults of odometry that loops show; the poses of this version have them mended."""
+    georeferences: tuple[Georeference, ...] = ()
+    """The frames that anchors hold on earth."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -22,35 +22,36 @@ _runtime_version.ValidateProtobufRuntimeVersion(
 _sym_db = _symbol_database.Default()
 
 
+from revisit.v1 import anchor_pb2 as revisit_dot_v1_dot_anchor__pb2
 
 
-DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n\x14revisit/v1/map.proto\x12\nrevisit.v1\"\x96\x02\n\x03Map\x12\x0c\n\x04name\x18\x01 \x01(\t\x12\x14\n\x0c\x64isplay_name\x18\x02 \x01(\t\x12\r\n\x05tau_m\x18\x03 \x01(\x01\x12\x10\n\x08stride_m\x18\x04 \x01(\x01\x12\x15\n\rsession_count\x18\x06 \x01(\r\x12\x14\n\x0csubmap_count\x18\x07 \x01(\r\x12\x15\n\rcreated_at_ns\x18\x08 \x01(\x03\x12\x13\n\x0bscene_scale\x18\t \x01(\x01\x12+\n\x0bloop_policy\x18\n \x01(\x0b\x32\x16.revisit.v1.LoopPolicy\x12\x13\n\x0bmap_version\x18\x0b \x01(\x04\x12\x18\n\x10leave_distance_m\x18\x0c \x01(\x01\x12\x0f\n\x07profile\x18\r \x01(\tJ\x04\x08\x05\x10\x06\"\xb8\x01\n\nLoopPolicy\x12\x17\n\ncandidates\x18\x01 \x01(\rH\x00\x88\x01\x01\x12\x16\n\tmin_score\x18\x02 \x01(\x01H\x01\x88\x01\x01\x12\x18\n\x0bmin_overlap\x18\x03 \x01(\x01H\x02\x88\x01\x01\x12\x1d\n\x10max_seen_through\x18\x04 \x01(\x01H\x03\x88\x01\x01\x42\r\n\x0b_candidatesB\x0c\n\n_min_scoreB\x0e\n\x0c_min_overlapB\x13\n\x11_max_seen_through\"\x9c\x02\n\x10\x43reateMapRequest\x12\x0e\n\x06map_id\x18\x01 \x01(\t\x12\x14\n\x0c\x64isplay_name\x18\x02 \x01(\t\x12\x12\n\x05tau_m\x18\x03 \x01(\x01H\x00\x88\x01\x01\x12\x15\n\x08stride_m\x18\x04 \x01(\x01H\x01\x88\x01\x01\x12\x18\n\x0bscene_scale\x18\x06 \x01(\x01H\x02\x88\x01\x01\x12+\n\x0bloop_policy\x18\x07 \x01(\x0b\x32\x16.revisit.v1.LoopPolicy\x12\x1d\n\x10leave_distance_m\x18\x08 \x01(\x01H\x03\x88\x01\x01\x12\x0f\n\x07profile\x18\t \x01(\tB\x08\n\x06_tau_mB\x0b\n\t_stride_mB\x0e\n\x0c_scene_scaleB\x13\n\x11_leave_distance_mJ\x04\x08\x05\x10\x06\"A\n\x11\x43reateMapResponse\x12\x1c\n\x03map\x18\x01 \x01(\x0b\x32\x0f.revisit.v1.Map\x12\x0e\n\x06replay\x18\x02 \x01(\x08\"\x1d\n\rGetMapRequest\x12\x0c\n\x04name\x18\x01 \x01(\t\".\n\x0eGetMapResponse\x12\x1c\n\x03map\x18\x01 \x01(\x0b\x32\x0f.revisit.v1.Map\"8\n\x0fListMapsRequest\x12\x11\n\tpage_size\x18\x01 \x01(\x05\x12\x12\n\npage_token\x18\x02 \x01(\t\"J\n\x10ListMapsResponse\x12\x1d\n\x04maps\x18\x01 \x03(\x0b\x32\x0f.revisit.v1.Map\x12\x17\n\x0fnext_page_token\x18\x02 \x01(\t\" \n\x10\x44\x65leteMapRequest\x12\x0c\n\x04name\x18\x01 \x01(\t\"\x13\n\x11\x44\x65leteMapResponse2\xa8\x02\n\nMapService\x12H\n\tCreateMap\x12\x1c.revisit.v1.CreateMapRequest\x1a\x1d.revisit.v1.CreateMapResponse\x12?\n\x06GetMap\x12\x19.revisit.v1.GetMapRequest\x1a\x1a.revisit.v1.GetMapResponse\x12\x45\n\x08ListMaps\x12\x1b.revisit.v1.ListMapsRequest\x1a\x1c.revisit.v1.ListMapsResponse\x12H\n\tDeleteMap\x12\x1c.revisit.v1.DeleteMapRequest\x1a\x1d.revisit.v1.DeleteMapResponseb\x06proto3')
+DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n\x14revisit/v1/map.proto\x12\nrevisit.v1\x1a\x17revisit/v1/anchor.proto\"\xc4\x02\n\x03Map\x12\x0c\n\x04name\x18\x01 \x01(\t\x12\x14\n\x0c\x64isplay_name\x18\x02 \x01(\t\x12\r\n\x05tau_m\x18\x03 \x01(\x01\x12\x10\n\x08stride_m\x18\x04 \x01(\x01\x12\x15\n\rsession_count\x18\x06 \x01(\r\x12\x14\n\x0csubmap_count\x18\x07 \x01(\r\x12\x15\n\rcreated_at_ns\x18\x08 \x01(\x03\x12\x13\n\x0bscene_scale\x18\t \x01(\x01\x12+\n\x0bloop_policy\x18\n \x01(\x0b\x32\x16.revisit.v1.LoopPolicy\x12\x13\n\x0bmap_version\x18\x0b \x01(\x04\x12\x18\n\x10leave_distance_m\x18\x0c \x01(\x01\x12\x0f\n\x07profile\x18\r \x01(\t\x12,\n\x06origin\x18\x0e \x01(\x0b\x32\x1c.revisit.v1.GeodeticPositionJ\x04\x08\x05\x10\x06\"\xb8\x01\n\nLoopPolicy\x12\x17\n\ncandidates\x18\x01 \x01(\rH\x00\x88\x01\x01\x12\x16\n\tmin_score\x18\x02 \x01(\x01H\x01\x88\x01\x01\x12\x18\n\x0bmin_overlap\x18\x03 \x01(\x01H\x02\x88\x01\x01\x12\x1d\n\x10max_seen_through\x18\x04 \x01(\x01H\x03\x88\x01\x01\x42\r\n\x0b_candidatesB\x0c\n\n_min_scoreB\x0e\n\x0c_min_overlapB\x13\n\x11_max_seen_through\"\x9c\x02\n\x10\x43reateMapRequest\x12\x0e\n\x06map_id\x18\x01 \x01(\t\x12\x14\n\x0c\x64isplay_name\x18\x02 \x01(\t\x12\x12\n\x05tau_m\x18\x03 \x01(\x01H\x00\x88\x01\x01\x12\x15\n\x08stride_m\x18\x04 \x01(\x01H\x01\x88\x01\x01\x12\x18\n\x0bscene_scale\x18\x06 \x01(\x01H\x02\x88\x01\x01\x12+\n\x0bloop_policy\x18\x07 \x01(\x0b\x32\x16.revisit.v1.LoopPolicy\x12\x1d\n\x10leave_distance_m\x18\x08 \x01(\x01H\x03\x88\x01\x01\x12\x0f\n\x07profile\x18\t \x01(\tB\x08\n\x06_tau_mB\x0b\n\t_stride_mB\x0e\n\x0c_scene_scaleB\x13\n\x11_leave_distance_mJ\x04\x08\x05\x10\x06\"A\n\x11\x43reateMapResponse\x12\x1c\n\x03map\x18\x01 \x01(\x0b\x32\x0f.revisit.v1.Map\x12\x0e\n\x06replay\x18\x02 \x01(\x08\"\x1d\n\rGetMapRequest\x12\x0c\n\x04name\x18\x01 \x01(\t\".\n\x0eGetMapResponse\x12\x1c\n\x03map\x18\x01 \x01(\x0b\x32\x0f.revisit.v1.Map\"8\n\x0fListMapsRequest\x12\x11\n\tpage_size\x18\x01 \x01(\x05\x12\x12\n\npage_token\x18\x02 \x01(\t\"J\n\x10ListMapsResponse\x12\x1d\n\x04maps\x18\x01 \x03(\x0b\x32\x0f.revisit.v1.Map\x12\x17\n\x0fnext_page_token\x18\x02 \x01(\t\" \n\x10\x44\x65leteMapRequest\x12\x0c\n\x04name\x18\x01 \x01(\t\"\x13\n\x11\x44\x65leteMapResponse2\xa8\x02\n\nMapService\x12H\n\tCreateMap\x12\x1c.revisit.v1.CreateMapRequest\x1a\x1d.revisit.v1.CreateMapResponse\x12?\n\x06GetMap\x12\x19.revisit.v1.GetMapRequest\x1a\x1a.revisit.v1.GetMapResponse\x12\x45\n\x08ListMaps\x12\x1b.revisit.v1.ListMapsRequest\x1a\x1c.revisit.v1.ListMapsResponse\x12H\n\tDeleteMap\x12\x1c.revisit.v1.DeleteMapRequest\x1a\x1d.revisit.v1.DeleteMapResponseb\x06proto3')
 
 _globals = globals()
 _builder.BuildMessageAndEnumDescriptors(DESCRIPTOR, _globals)
 _builder.BuildTopDescriptorsAndMessages(DESCRIPTOR, 'revisit.v1.map_pb2', _globals)
 if not _descriptor._USE_C_DESCRIPTORS:
   DESCRIPTOR._loaded_options = None
-  _globals['_MAP']._serialized_start=37
-  _globals['_MAP']._serialized_end=315
-  _globals['_LOOPPOLICY']._serialized_start=318
-  _globals['_LOOPPOLICY']._serialized_end=502
-  _globals['_CREATEMAPREQUEST']._serialized_start=505
-  _globals['_CREATEMAPREQUEST']._serialized_end=789
-  _globals['_CREATEMAPRESPONSE']._serialized_start=791
-  _globals['_CREATEMAPRESPONSE']._serialized_end=856
-  _globals['_GETMAPREQUEST']._serialized_start=858
-  _globals['_GETMAPREQUEST']._serialized_end=887
-  _globals['_GETMAPRESPONSE']._serialized_start=889
-  _globals['_GETMAPRESPONSE']._serialized_end=935
-  _globals['_LISTMAPSREQUEST']._serialized_start=937
-  _globals['_LISTMAPSREQUEST']._serialized_end=993
-  _globals['_LISTMAPSRESPONSE']._serialized_start=995
-  _globals['_LISTMAPSRESPONSE']._serialized_end=1069
-  _globals['_DELETEMAPREQUEST']._serialized_start=1071
-  _globals['_DELETEMAPREQUEST']._serialized_end=1103
-  _globals['_DELETEMAPRESPONSE']._serialized_start=1105
-  _globals['_DELETEMAPRESPONSE']._serialized_end=1124
-  _globals['_MAPSERVICE']._serialized_start=1127
-  _globals['_MAPSERVICE']._serialized_end=1423
+  _globals['_MAP']._serialized_start=62
+  _globals['_MAP']._serialized_end=386
+  _globals['_LOOPPOLICY']._serialized_start=389
+  _globals['_LOOPPOLICY']._serialized_end=573
+  _globals['_CREATEMAPREQUEST']._serialized_start=576
+  _globals['_CREATEMAPREQUEST']._serialized_end=860
+  _globals['_CREATEMAPRESPONSE']._serialized_start=862
+  _globals['_CREATEMAPRESPONSE']._serialized_end=927
+  _globals['_GETMAPREQUEST']._serialized_start=929
+  _globals['_GETMAPREQUEST']._serialized_end=958
+  _globals['_GETMAPRESPONSE']._serialized_start=960
+  _globals['_GETMAPRESPONSE']._serialized_end=1006
+  _globals['_LISTMAPSREQUEST']._serialized_start=1008
+  _globals['_LISTMAPSREQUEST']._serialized_end=1064
+  _globals['_LISTMAPSRESPONSE']._serialized_start=1066
+  _globals['_LISTMAPSRESPONSE']._serialized_end=1140
+  _globals['_DELETEMAPREQUEST']._serialized_start=1142
+  _globals['_DELETEMAPREQUEST']._serialized_end=1174
+  _globals['_DELETEMAPRESPONSE']._serialized_start=1176
+  _globals['_DELETEMAPRESPONSE']._serialized_end=1195
+  _globals['_MAPSERVICE']._serialized_start=1198
+  _globals['_MAPSERVICE']._serialized_end=1494
 # @@protoc_insertion_point(module_scope)

@@ -1,3 +1,4 @@
+from revisit.v1 import anchor_pb2 as _anchor_pb2
 from google.protobuf.internal import containers as _containers
 from google.protobuf import descriptor as _descriptor
 from google.protobuf import message as _message
@@ -7,7 +8,7 @@ from typing import ClassVar as _ClassVar, Optional as _Optional, Union as _Union
 DESCRIPTOR: _descriptor.FileDescriptor
 
 class Map(_message.Message):
-    __slots__ = ("name", "display_name", "tau_m", "stride_m", "session_count", "submap_count", "created_at_ns", "scene_scale", "loop_policy", "map_version", "leave_distance_m", "profile")
+    __slots__ = ("name", "display_name", "tau_m", "stride_m", "session_count", "submap_count", "created_at_ns", "scene_scale", "loop_policy", "map_version", "leave_distance_m", "profile", "origin")
     NAME_FIELD_NUMBER: _ClassVar[int]
     DISPLAY_NAME_FIELD_NUMBER: _ClassVar[int]
     TAU_M_FIELD_NUMBER: _ClassVar[int]
@@ -20,6 +21,7 @@ class Map(_message.Message):
     MAP_VERSION_FIELD_NUMBER: _ClassVar[int]
     LEAVE_DISTANCE_M_FIELD_NUMBER: _ClassVar[int]
     PROFILE_FIELD_NUMBER: _ClassVar[int]
+    ORIGIN_FIELD_NUMBER: _ClassVar[int]
     name: str
     display_name: str
     tau_m: float
@@ -32,7 +34,8 @@ class Map(_message.Message):
     map_version: int
     leave_distance_m: float
     profile: str
-    def __init__(self, name: _Optional[str] = ..., display_name: _Optional[str] = ..., tau_m: _Optional[float] = ..., stride_m: _Optional[float] = ..., session_count: _Optional[int] = ..., submap_count: _Optional[int] = ..., created_at_ns: _Optional[int] = ..., scene_scale: _Optional[float] = ..., loop_policy: _Optional[_Union[LoopPolicy, _Mapping]] = ..., map_version: _Optional[int] = ..., leave_distance_m: _Optional[float] = ..., profile: _Optional[str] = ...) -> None: ...
+    origin: _anchor_pb2.GeodeticPosition
+    def __init__(self, name: _Optional[str] = ..., display_name: _Optional[str] = ..., tau_m: _Optional[float] = ..., stride_m: _Optional[float] = ..., session_count: _Optional[int] = ..., submap_count: _Optional[int] = ..., created_at_ns: _Optional[int] = ..., scene_scale: _Optional[float] = ..., loop_policy: _Optional[_Union[LoopPolicy, _Mapping]] = ..., map_version: _Optional[int] = ..., leave_distance_m: _Optional[float] = ..., profile: _Optional[str] = ..., origin: _Optional[_Union[_anchor_pb2.GeodeticPosition, _Mapping]] = ...) -> None: ...
 
 class LoopPolicy(_message.Message):
     __slots__ = ("candidates", "min_score", "min_overlap", "max_seen_through")

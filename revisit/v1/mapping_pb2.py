@@ -22,79 +22,80 @@ _runtime_version.ValidateProtobufRuntimeVersion(
 _sym_db = _symbol_database.Default()
 
 
+from revisit.v1 import anchor_pb2 as revisit_dot_v1_dot_anchor__pb2
 from revisit.v1 import geometry_pb2 as revisit_dot_v1_dot_geometry__pb2
 from revisit.v1 import operation_pb2 as revisit_dot_v1_dot_operation__pb2
 from revisit.v1 import session_pb2 as revisit_dot_v1_dot_session__pb2
 from google.protobuf import struct_pb2 as google_dot_protobuf_dot_struct__pb2
 
 
-DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n\x18revisit/v1/mapping.proto\x12\nrevisit.v1\x1a\x19revisit/v1/geometry.proto\x1a\x1arevisit/v1/operation.proto\x1a\x18revisit/v1/session.proto\x1a\x1cgoogle/protobuf/struct.proto\"\xc4\x01\n\nMapVersion\x12\x0c\n\x04name\x18\x01 \x01(\t\x12\x0f\n\x07version\x18\x02 \x01(\x04\x12\x10\n\x08in_force\x18\x03 \x01(\x08\x12\x15\n\rrestored_from\x18\x04 \x01(\x04\x12\x14\n\x0c\x63ontent_hash\x18\x05 \x01(\t\x12\x11\n\toperation\x18\x06 \x01(\t\x12\x15\n\rcreated_at_ns\x18\x07 \x01(\x03\x12.\n\x07summary\x18\x08 \x01(\x0b\x32\x1d.revisit.v1.MapVersionSummary\"\xf8\x02\n\x11MapVersionSummary\x12\x10\n\x08sessions\x18\x01 \x01(\r\x12\x0f\n\x07submaps\x18\x02 \x01(\r\x12\x0e\n\x06\x66rames\x18\x03 \x01(\r\x12\x14\n\x0cloops_in_map\x18\x04 \x01(\r\x12\x17\n\x0floops_set_aside\x18\x05 \x01(\r\x12\x19\n\x11loops_unconnected\x18\x06 \x01(\r\x12\x0c\n\x04\x63hi2\x18\x07 \x01(\x01\x12\x1a\n\x12\x64\x65grees_of_freedom\x18\x08 \x01(\r\x12\x1a\n\rmean_change_m\x18\t \x01(\x01H\x00\x88\x01\x01\x12\x19\n\x0cmax_change_m\x18\n \x01(\x01H\x01\x88\x01\x01\x12.\n\rrefused_joins\x18\x0b \x03(\x0b\x32\x17.revisit.v1.RefusedJoin\x12\x32\n\x0fodometry_faults\x18\x0c \x03(\x0b\x32\x19.revisit.v1.OdometryFaultB\x10\n\x0e_mean_change_mB\x0f\n\r_max_change_m\"\xce\x01\n\x0bRefusedJoin\x12\x10\n\x08sessions\x18\x01 \x03(\t\x12\x16\n\x0eother_sessions\x18\x02 \x03(\t\x12\x0e\n\x06reason\x18\x03 \x01(\t\x12\r\n\x05loops\x18\x04 \x01(\r\x12\x15\n\rcommon_points\x18\x05 \x01(\r\x12\x17\n\nresidual_m\x18\x06 \x01(\x01H\x00\x88\x01\x01\x12\x1a\n\x12seen_through_share\x18\x07 \x01(\x01\x12\x1b\n\x13worst_stretch_share\x18\x08 \x01(\x01\x42\r\n\x0b_residual_m\"l\n\nSubmapPose\x12\x0e\n\x06submap\x18\x01 \x01(\t\x12+\n\x0ct_map_submap\x18\x02 \x01(\x0b\x32\x15.revisit.v1.Transform\x12\r\n\x05\x66rame\x18\x03 \x01(\t\x12\x12\n\ncovariance\x18\x04 \x03(\x02\"\xe0\x01\n\nCorrection\x12\x0f\n\x07session\x18\x01 \x01(\t\x12)\n\nt_map_odom\x18\x02 \x01(\x0b\x32\x15.revisit.v1.Transform\x12\r\n\x05\x66rame\x18\x03 \x01(\t\x12\x13\n\x0bmap_version\x18\x04 \x01(\x04\x12\x12\n\ncovariance\x18\x05 \x03(\x02\x12\x15\n\rcreated_at_ns\x18\x06 \x01(\x03\x12\x13\n\x0b\x65\x61rly_loops\x18\x07 \x01(\r\x12\x32\n\x0fodometry_faults\x18\x08 \x03(\x0b\x32\x19.revisit.v1.OdometryFault\"\"\n\x12OptimiseMapRequest\x12\x0c\n\x04name\x18\x01 \x01(\t\"O\n\x13OptimiseMapResponse\x12(\n\toperation\x18\x01 \x01(\x0b\x32\x15.revisit.v1.Operation\x12\x0e\n\x06replay\x18\x02 \x01(\x08\"O\n\x16ListMapVersionsRequest\x12\x0e\n\x06parent\x18\x01 \x01(\t\x12\x11\n\tpage_size\x18\x02 \x01(\x05\x12\x12\n\npage_token\x18\x03 \x01(\t\"`\n\x17ListMapVersionsResponse\x12,\n\x0cmap_versions\x18\x01 \x03(\x0b\x32\x16.revisit.v1.MapVersion\x12\x17\n\x0fnext_page_token\x18\x02 \x01(\t\"$\n\x14GetMapVersionRequest\x12\x0c\n\x04name\x18\x01 \x01(\t\"D\n\x15GetMapVersionResponse\x12+\n\x0bmap_version\x18\x01 \x01(\x0b\x32\x16.revisit.v1.MapVersion\"O\n\x16ListSubmapPosesRequest\x12\x0e\n\x06parent\x18\x01 \x01(\t\x12\x11\n\tpage_size\x18\x02 \x01(\x05\x12\x12\n\npage_token\x18\x03 \x01(\t\"`\n\x17ListSubmapPosesResponse\x12,\n\x0csubmap_poses\x18\x01 \x03(\x0b\x32\x16.revisit.v1.SubmapPose\x12\x17\n\x0fnext_page_token\x18\x02 \x01(\t\"1\n\x10RevertMapRequest\x12\x0c\n\x04name\x18\x01 \x01(\t\x12\x0f\n\x07version\x18\x02 \x01(\x04\"@\n\x11RevertMapResponse\x12+\n\x0bmap_version\x18\x01 \x01(\x0b\x32\x16.revisit.v1.MapVersion\"$\n\x14GetCorrectionRequest\x12\x0c\n\x04name\x18\x01 \x01(\t\"C\n\x15GetCorrectionResponse\x12*\n\ncorrection\x18\x01 \x01(\x0b\x32\x16.revisit.v1.Correction\"I\n\x17WatchCorrectionsRequest\x12\x0e\n\x06parent\x18\x01 \x01(\t\x12\r\n\x05\x61\x66ter\x18\x02 \x01(\x04\x12\x0f\n\x07session\x18\x03 \x01(\t\"F\n\x18WatchCorrectionsResponse\x12*\n\ncorrection\x18\x01 \x01(\x0b\x32\x16.revisit.v1.Correction\"\x97\x01\n\x0fMergeMapRequest\x12\x0c\n\x04name\x18\x01 \x01(\t\x12\x0e\n\x06source\x18\x02 \x01(\t\x12\x15\n\rvalidate_only\x18\x03 \x01(\x08\x12+\n\x0ct_map_source\x18\x04 \x01(\x0b\x32\x15.revisit.v1.Transform\x12\x15\n\x08radius_m\x18\x05 \x01(\x01H\x00\x88\x01\x01\x42\x0b\n\t_radius_m\"L\n\x10MergeMapResponse\x12(\n\toperation\x18\x01 \x01(\x0b\x32\x15.revisit.v1.Operation\x12\x0e\n\x06replay\x18\x02 \x01(\x08\"\xfb\x01\n\x08MapMerge\x12\x0c\n\x04name\x18\x01 \x01(\t\x12\x0e\n\x06source\x18\x02 \x01(\t\x12\x16\n\x0eversion_before\x18\x03 \x01(\x04\x12\x0f\n\x07version\x18\x04 \x01(\x04\x12\x10\n\x08sessions\x18\x05 \x03(\t\x12\'\n\x06report\x18\x06 \x01(\x0b\x32\x17.google.protobuf.Struct\x12&\n\x07\x63hanges\x18\x07 \x03(\x0b\x32\x15.revisit.v1.MapChange\x12\x15\n\rcreated_at_ns\x18\x08 \x01(\x03\x12\x1b\n\x0ereverted_at_ns\x18\t \x01(\x03H\x00\x88\x01\x01\x42\x11\n\x0f_reverted_at_ns\"\xcd\x01\n\tMapChange\x12(\n\x04kind\x18\x01 \x01(\x0e\x32\x1a.revisit.v1.MapChange.Kind\x12%\n\x08\x63\x65ntre_m\x18\x02 \x01(\x0b\x32\x13.revisit.v1.Vector3\x12%\n\x08\x65xtent_m\x18\x03 \x01(\x0b\x32\x13.revisit.v1.Vector3\x12\x0e\n\x06points\x18\x04 \x01(\r\"8\n\x04Kind\x12\x14\n\x10KIND_UNSPECIFIED\x10\x00\x12\x0c\n\x08VANISHED\x10\x01\x12\x0c\n\x08\x41PPEARED\x10\x02\"M\n\x14ListMapMergesRequest\x12\x0e\n\x06parent\x18\x01 \x01(\t\x12\x11\n\tpage_size\x18\x02 \x01(\x05\x12\x12\n\npage_token\x18\x03 \x01(\t\"Z\n\x15ListMapMergesResponse\x12(\n\nmap_merges\x18\x01 \x03(\x0b\x32\x14.revisit.v1.MapMerge\x12\x17\n\x0fnext_page_token\x18\x02 \x01(\t\"\"\n\x12GetMapMergeRequest\x12\x0c\n\x04name\x18\x01 \x01(\t\">\n\x13GetMapMergeResponse\x12\'\n\tmap_merge\x18\x01 \x01(\x0b\x32\x14.revisit.v1.MapMerge\"%\n\x15RevertMapMergeRequest\x12\x0c\n\x04name\x18\x01 \x01(\t\"A\n\x16RevertMapMergeResponse\x12\'\n\tmap_merge\x18\x01 \x01(\x0b\x32\x14.revisit.v1.MapMerge2\xb5\x07\n\x0eMappingService\x12N\n\x0bOptimiseMap\x12\x1e.revisit.v1.OptimiseMapRequest\x1a\x1f.revisit.v1.OptimiseMapResponse\x12Z\n\x0fListMapVersions\x12\".revisit.v1.ListMapVersionsRequest\x1a#.revisit.v1.ListMapVersionsResponse\x12T\n\rGetMapVersion\x12 .revisit.v1.GetMapVersionRequest\x1a!.revisit.v1.GetMapVersionResponse\x12Z\n\x0fListSubmapPoses\x12\".revisit.v1.ListSubmapPosesRequest\x1a#.revisit.v1.ListSubmapPosesResponse\x12H\n\tRevertMap\x12\x1c.revisit.v1.RevertMapRequest\x1a\x1d.revisit.v1.RevertMapResponse\x12\x45\n\x08MergeMap\x12\x1b.revisit.v1.MergeMapRequest\x1a\x1c.revisit.v1.MergeMapResponse\x12T\n\rListMapMerges\x12 .revisit.v1.ListMapMergesRequest\x1a!.revisit.v1.ListMapMergesResponse\x12N\n\x0bGetMapMerge\x12\x1e.revisit.v1.GetMapMergeRequest\x1a\x1f.revisit.v1.GetMapMergeResponse\x12W\n\x0eRevertMapMerge\x12!.revisit.v1.RevertMapMergeRequest\x1a\".revisit.v1.RevertMapMergeResponse\x12T\n\rGetCorrection\x12 .revisit.v1.GetCorrectionRequest\x1a!.revisit.v1.GetCorrectionResponse\x12_\n\x10WatchCorrections\x12#.revisit.v1.WatchCorrectionsRequest\x1a$.revisit.v1.WatchCorrectionsResponse0\x01\x62\x06proto3')
+DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n\x18revisit/v1/mapping.proto\x12\nrevisit.v1\x1a\x17revisit/v1/anchor.proto\x1a\x19revisit/v1/geometry.proto\x1a\x1arevisit/v1/operation.proto\x1a\x18revisit/v1/session.proto\x1a\x1cgoogle/protobuf/struct.proto\"\xc4\x01\n\nMapVersion\x12\x0c\n\x04name\x18\x01 \x01(\t\x12\x0f\n\x07version\x18\x02 \x01(\x04\x12\x10\n\x08in_force\x18\x03 \x01(\x08\x12\x15\n\rrestored_from\x18\x04 \x01(\x04\x12\x14\n\x0c\x63ontent_hash\x18\x05 \x01(\t\x12\x11\n\toperation\x18\x06 \x01(\t\x12\x15\n\rcreated_at_ns\x18\x07 \x01(\x03\x12.\n\x07summary\x18\x08 \x01(\x0b\x32\x1d.revisit.v1.MapVersionSummary\"\xa9\x03\n\x11MapVersionSummary\x12\x10\n\x08sessions\x18\x01 \x01(\r\x12\x0f\n\x07submaps\x18\x02 \x01(\r\x12\x0e\n\x06\x66rames\x18\x03 \x01(\r\x12\x14\n\x0cloops_in_map\x18\x04 \x01(\r\x12\x17\n\x0floops_set_aside\x18\x05 \x01(\r\x12\x19\n\x11loops_unconnected\x18\x06 \x01(\r\x12\x0c\n\x04\x63hi2\x18\x07 \x01(\x01\x12\x1a\n\x12\x64\x65grees_of_freedom\x18\x08 \x01(\r\x12\x1a\n\rmean_change_m\x18\t \x01(\x01H\x00\x88\x01\x01\x12\x19\n\x0cmax_change_m\x18\n \x01(\x01H\x01\x88\x01\x01\x12.\n\rrefused_joins\x18\x0b \x03(\x0b\x32\x17.revisit.v1.RefusedJoin\x12\x32\n\x0fodometry_faults\x18\x0c \x03(\x0b\x32\x19.revisit.v1.OdometryFault\x12/\n\rgeoreferences\x18\r \x03(\x0b\x32\x18.revisit.v1.GeoreferenceB\x10\n\x0e_mean_change_mB\x0f\n\r_max_change_m\"\xce\x01\n\x0bRefusedJoin\x12\x10\n\x08sessions\x18\x01 \x03(\t\x12\x16\n\x0eother_sessions\x18\x02 \x03(\t\x12\x0e\n\x06reason\x18\x03 \x01(\t\x12\r\n\x05loops\x18\x04 \x01(\r\x12\x15\n\rcommon_points\x18\x05 \x01(\r\x12\x17\n\nresidual_m\x18\x06 \x01(\x01H\x00\x88\x01\x01\x12\x1a\n\x12seen_through_share\x18\x07 \x01(\x01\x12\x1b\n\x13worst_stretch_share\x18\x08 \x01(\x01\x42\r\n\x0b_residual_m\"l\n\nSubmapPose\x12\x0e\n\x06submap\x18\x01 \x01(\t\x12+\n\x0ct_map_submap\x18\x02 \x01(\x0b\x32\x15.revisit.v1.Transform\x12\r\n\x05\x66rame\x18\x03 \x01(\t\x12\x12\n\ncovariance\x18\x04 \x03(\x02\"\xe0\x01\n\nCorrection\x12\x0f\n\x07session\x18\x01 \x01(\t\x12)\n\nt_map_odom\x18\x02 \x01(\x0b\x32\x15.revisit.v1.Transform\x12\r\n\x05\x66rame\x18\x03 \x01(\t\x12\x13\n\x0bmap_version\x18\x04 \x01(\x04\x12\x12\n\ncovariance\x18\x05 \x03(\x02\x12\x15\n\rcreated_at_ns\x18\x06 \x01(\x03\x12\x13\n\x0b\x65\x61rly_loops\x18\x07 \x01(\r\x12\x32\n\x0fodometry_faults\x18\x08 \x03(\x0b\x32\x19.revisit.v1.OdometryFault\"\"\n\x12OptimiseMapRequest\x12\x0c\n\x04name\x18\x01 \x01(\t\"O\n\x13OptimiseMapResponse\x12(\n\toperation\x18\x01 \x01(\x0b\x32\x15.revisit.v1.Operation\x12\x0e\n\x06replay\x18\x02 \x01(\x08\"O\n\x16ListMapVersionsRequest\x12\x0e\n\x06parent\x18\x01 \x01(\t\x12\x11\n\tpage_size\x18\x02 \x01(\x05\x12\x12\n\npage_token\x18\x03 \x01(\t\"`\n\x17ListMapVersionsResponse\x12,\n\x0cmap_versions\x18\x01 \x03(\x0b\x32\x16.revisit.v1.MapVersion\x12\x17\n\x0fnext_page_token\x18\x02 \x01(\t\"$\n\x14GetMapVersionRequest\x12\x0c\n\x04name\x18\x01 \x01(\t\"D\n\x15GetMapVersionResponse\x12+\n\x0bmap_version\x18\x01 \x01(\x0b\x32\x16.revisit.v1.MapVersion\"O\n\x16ListSubmapPosesRequest\x12\x0e\n\x06parent\x18\x01 \x01(\t\x12\x11\n\tpage_size\x18\x02 \x01(\x05\x12\x12\n\npage_token\x18\x03 \x01(\t\"`\n\x17ListSubmapPosesResponse\x12,\n\x0csubmap_poses\x18\x01 \x03(\x0b\x32\x16.revisit.v1.SubmapPose\x12\x17\n\x0fnext_page_token\x18\x02 \x01(\t\"1\n\x10RevertMapRequest\x12\x0c\n\x04name\x18\x01 \x01(\t\x12\x0f\n\x07version\x18\x02 \x01(\x04\"@\n\x11RevertMapResponse\x12+\n\x0bmap_version\x18\x01 \x01(\x0b\x32\x16.revisit.v1.MapVersion\"$\n\x14GetCorrectionRequest\x12\x0c\n\x04name\x18\x01 \x01(\t\"C\n\x15GetCorrectionResponse\x12*\n\ncorrection\x18\x01 \x01(\x0b\x32\x16.revisit.v1.Correction\"I\n\x17WatchCorrectionsRequest\x12\x0e\n\x06parent\x18\x01 \x01(\t\x12\r\n\x05\x61\x66ter\x18\x02 \x01(\x04\x12\x0f\n\x07session\x18\x03 \x01(\t\"F\n\x18WatchCorrectionsResponse\x12*\n\ncorrection\x18\x01 \x01(\x0b\x32\x16.revisit.v1.Correction\"\x97\x01\n\x0fMergeMapRequest\x12\x0c\n\x04name\x18\x01 \x01(\t\x12\x0e\n\x06source\x18\x02 \x01(\t\x12\x15\n\rvalidate_only\x18\x03 \x01(\x08\x12+\n\x0ct_map_source\x18\x04 \x01(\x0b\x32\x15.revisit.v1.Transform\x12\x15\n\x08radius_m\x18\x05 \x01(\x01H\x00\x88\x01\x01\x42\x0b\n\t_radius_m\"L\n\x10MergeMapResponse\x12(\n\toperation\x18\x01 \x01(\x0b\x32\x15.revisit.v1.Operation\x12\x0e\n\x06replay\x18\x02 \x01(\x08\"\xfb\x01\n\x08MapMerge\x12\x0c\n\x04name\x18\x01 \x01(\t\x12\x0e\n\x06source\x18\x02 \x01(\t\x12\x16\n\x0eversion_before\x18\x03 \x01(\x04\x12\x0f\n\x07version\x18\x04 \x01(\x04\x12\x10\n\x08sessions\x18\x05 \x03(\t\x12\'\n\x06report\x18\x06 \x01(\x0b\x32\x17.google.protobuf.Struct\x12&\n\x07\x63hanges\x18\x07 \x03(\x0b\x32\x15.revisit.v1.MapChange\x12\x15\n\rcreated_at_ns\x18\x08 \x01(\x03\x12\x1b\n\x0ereverted_at_ns\x18\t \x01(\x03H\x00\x88\x01\x01\x42\x11\n\x0f_reverted_at_ns\"\xcd\x01\n\tMapChange\x12(\n\x04kind\x18\x01 \x01(\x0e\x32\x1a.revisit.v1.MapChange.Kind\x12%\n\x08\x63\x65ntre_m\x18\x02 \x01(\x0b\x32\x13.revisit.v1.Vector3\x12%\n\x08\x65xtent_m\x18\x03 \x01(\x0b\x32\x13.revisit.v1.Vector3\x12\x0e\n\x06points\x18\x04 \x01(\r\"8\n\x04Kind\x12\x14\n\x10KIND_UNSPECIFIED\x10\x00\x12\x0c\n\x08VANISHED\x10\x01\x12\x0c\n\x08\x41PPEARED\x10\x02\"M\n\x14ListMapMergesRequest\x12\x0e\n\x06parent\x18\x01 \x01(\t\x12\x11\n\tpage_size\x18\x02 \x01(\x05\x12\x12\n\npage_token\x18\x03 \x01(\t\"Z\n\x15ListMapMergesResponse\x12(\n\nmap_merges\x18\x01 \x03(\x0b\x32\x14.revisit.v1.MapMerge\x12\x17\n\x0fnext_page_token\x18\x02 \x01(\t\"\"\n\x12GetMapMergeRequest\x12\x0c\n\x04name\x18\x01 \x01(\t\">\n\x13GetMapMergeResponse\x12\'\n\tmap_merge\x18\x01 \x01(\x0b\x32\x14.revisit.v1.MapMerge\"%\n\x15RevertMapMergeRequest\x12\x0c\n\x04name\x18\x01 \x01(\t\"A\n\x16RevertMapMergeResponse\x12\'\n\tmap_merge\x18\x01 \x01(\x0b\x32\x14.revisit.v1.MapMerge2\xb5\x07\n\x0eMappingService\x12N\n\x0bOptimiseMap\x12\x1e.revisit.v1.OptimiseMapRequest\x1a\x1f.revisit.v1.OptimiseMapResponse\x12Z\n\x0fListMapVersions\x12\".revisit.v1.ListMapVersionsRequest\x1a#.revisit.v1.ListMapVersionsResponse\x12T\n\rGetMapVersion\x12 .revisit.v1.GetMapVersionRequest\x1a!.revisit.v1.GetMapVersionResponse\x12Z\n\x0fListSubmapPoses\x12\".revisit.v1.ListSubmapPosesRequest\x1a#.revisit.v1.ListSubmapPosesResponse\x12H\n\tRevertMap\x12\x1c.revisit.v1.RevertMapRequest\x1a\x1d.revisit.v1.RevertMapResponse\x12\x45\n\x08MergeMap\x12\x1b.revisit.v1.MergeMapRequest\x1a\x1c.revisit.v1.MergeMapResponse\x12T\n\rListMapMerges\x12 .revisit.v1.ListMapMergesRequest\x1a!.revisit.v1.ListMapMergesResponse\x12N\n\x0bGetMapMerge\x12\x1e.revisit.v1.GetMapMergeRequest\x1a\x1f.revisit.v1.GetMapMergeResponse\x12W\n\x0eRevertMapMerge\x12!.revisit.v1.RevertMapMergeRequest\x1a\".revisit.v1.RevertMapMergeResponse\x12T\n\rGetCorrection\x12 .revisit.v1.GetCorrectionRequest\x1a!.revisit.v1.GetCorrectionResponse\x12_\n\x10WatchCorrections\x12#.revisit.v1.WatchCorrectionsRequest\x1a$.revisit.v1.WatchCorrectionsResponse0\x01\x62\x06proto3')
 
 _globals = globals()
 _builder.BuildMessageAndEnumDescriptors(DESCRIPTOR, _globals)
 _builder.BuildTopDescriptorsAndMessages(DESCRIPTOR, 'revisit.v1.mapping_pb2', _globals)
 if not _descriptor._USE_C_DESCRIPTORS:
   DESCRIPTOR._loaded_options = None
-  _globals['_MAPVERSION']._serialized_start=152
-  _globals['_MAPVERSION']._serialized_end=348
-  _globals['_MAPVERSIONSUMMARY']._serialized_start=351
-  _globals['_MAPVERSIONSUMMARY']._serialized_end=727
-  _globals['_REFUSEDJOIN']._serialized_start=730
-  _globals['_REFUSEDJOIN']._serialized_end=936
-  _globals['_SUBMAPPOSE']._serialized_start=938
-  _globals['_SUBMAPPOSE']._serialized_end=1046
-  _globals['_CORRECTION']._serialized_start=1049
-  _globals['_CORRECTION']._serialized_end=1273
-  _globals['_OPTIMISEMAPREQUEST']._serialized_start=1275
-  _globals['_OPTIMISEMAPREQUEST']._serialized_end=1309
-  _globals['_OPTIMISEMAPRESPONSE']._serialized_start=1311
-  _globals['_OPTIMISEMAPRESPONSE']._serialized_end=1390
-  _globals['_LISTMAPVERSIONSREQUEST']._serialized_start=1392
-  _globals['_LISTMAPVERSIONSREQUEST']._serialized_end=1471
-  _globals['_LISTMAPVERSIONSRESPONSE']._serialized_start=1473
-  _globals['_LISTMAPVERSIONSRESPONSE']._serialized_end=1569
-  _globals['_GETMAPVERSIONREQUEST']._serialized_start=1571
-  _globals['_GETMAPVERSIONREQUEST']._serialized_end=1607
-  _globals['_GETMAPVERSIONRESPONSE']._serialized_start=1609
-  _globals['_GETMAPVERSIONRESPONSE']._serialized_end=1677
-  _globals['_LISTSUBMAPPOSESREQUEST']._serialized_start=1679
-  _globals['_LISTSUBMAPPOSESREQUEST']._serialized_end=1758
-  _globals['_LISTSUBMAPPOSESRESPONSE']._serialized_start=1760
-  _globals['_LISTSUBMAPPOSESRESPONSE']._serialized_end=1856
-  _globals['_REVERTMAPREQUEST']._serialized_start=1858
-  _globals['_REVERTMAPREQUEST']._serialized_end=1907
-  _globals['_REVERTMAPRESPONSE']._serialized_start=1909
-  _globals['_REVERTMAPRESPONSE']._serialized_end=1973
-  _globals['_GETCORRECTIONREQUEST']._serialized_start=1975
-  _globals['_GETCORRECTIONREQUEST']._serialized_end=2011
-  _globals['_GETCORRECTIONRESPONSE']._serialized_start=2013
-  _globals['_GETCORRECTIONRESPONSE']._serialized_end=2080
-  _globals['_WATCHCORRECTIONSREQUEST']._serialized_start=2082
-  _globals['_WATCHCORRECTIONSREQUEST']._serialized_end=2155
-  _globals['_WATCHCORRECTIONSRESPONSE']._serialized_start=2157
-  _globals['_WATCHCORRECTIONSRESPONSE']._serialized_end=2227
-  _globals['_MERGEMAPREQUEST']._serialized_start=2230
-  _globals['_MERGEMAPREQUEST']._serialized_end=2381
-  _globals['_MERGEMAPRESPONSE']._serialized_start=2383
-  _globals['_MERGEMAPRESPONSE']._serialized_end=2459
-  _globals['_MAPMERGE']._serialized_start=2462
-  _globals['_MAPMERGE']._serialized_end=2713
-  _globals['_MAPCHANGE']._serialized_start=2716
-  _globals['_MAPCHANGE']._serialized_end=2921
-  _globals['_MAPCHANGE_KIND']._serialized_start=2865
-  _globals['_MAPCHANGE_KIND']._serialized_end=2921
-  _globals['_LISTMAPMERGESREQUEST']._serialized_start=2923
-  _globals['_LISTMAPMERGESREQUEST']._serialized_end=3000
-  _globals['_LISTMAPMERGESRESPONSE']._serialized_start=3002
-  _globals['_LISTMAPMERGESRESPONSE']._serialized_end=3092
-  _globals['_GETMAPMERGEREQUEST']._serialized_start=3094
-  _globals['_GETMAPMERGEREQUEST']._serialized_end=3128
-  _globals['_GETMAPMERGERESPONSE']._serialized_start=3130
-  _globals['_GETMAPMERGERESPONSE']._serialized_end=3192
-  _globals['_REVERTMAPMERGEREQUEST']._serialized_start=3194
-  _globals['_REVERTMAPMERGEREQUEST']._serialized_end=3231
-  _globals['_REVERTMAPMERGERESPONSE']._serialized_start=3233
-  _globals['_REVERTMAPMERGERESPONSE']._serialized_end=3298
-  _globals['_MAPPINGSERVICE']._serialized_start=3301
-  _globals['_MAPPINGSERVICE']._serialized_end=4250
+  _globals['_MAPVERSION']._serialized_start=177
+  _globals['_MAPVERSION']._serialized_end=373
+  _globals['_MAPVERSIONSUMMARY']._serialized_start=376
+  _globals['_MAPVERSIONSUMMARY']._serialized_end=801
+  _globals['_REFUSEDJOIN']._serialized_start=804
+  _globals['_REFUSEDJOIN']._serialized_end=1010
+  _globals['_SUBMAPPOSE']._serialized_start=1012
+  _globals['_SUBMAPPOSE']._serialized_end=1120
+  _globals['_CORRECTION']._serialized_start=1123
+  _globals['_CORRECTION']._serialized_end=1347
+  _globals['_OPTIMISEMAPREQUEST']._serialized_start=1349
+  _globals['_OPTIMISEMAPREQUEST']._serialized_end=1383
+  _globals['_OPTIMISEMAPRESPONSE']._serialized_start=1385
+  _globals['_OPTIMISEMAPRESPONSE']._serialized_end=1464
+  _globals['_LISTMAPVERSIONSREQUEST']._serialized_start=1466
+  _globals['_LISTMAPVERSIONSREQUEST']._serialized_end=1545
+  _globals['_LISTMAPVERSIONSRESPONSE']._serialized_start=1547
+  _globals['_LISTMAPVERSIONSRESPONSE']._serialized_end=1643
+  _globals['_GETMAPVERSIONREQUEST']._serialized_start=1645
+  _globals['_GETMAPVERSIONREQUEST']._serialized_end=1681
+  _globals['_GETMAPVERSIONRESPONSE']._serialized_start=1683
+  _globals['_GETMAPVERSIONRESPONSE']._serialized_end=1751
+  _globals['_LISTSUBMAPPOSESREQUEST']._serialized_start=1753
+  _globals['_LISTSUBMAPPOSESREQUEST']._serialized_end=1832
+  _globals['_LISTSUBMAPPOSESRESPONSE']._serialized_start=1834
+  _globals['_LISTSUBMAPPOSESRESPONSE']._serialized_end=1930
+  _globals['_REVERTMAPREQUEST']._serialized_start=1932
+  _globals['_REVERTMAPREQUEST']._serialized_end=1981
+  _globals['_REVERTMAPRESPONSE']._serialized_start=1983
+  _globals['_REVERTMAPRESPONSE']._serialized_end=2047
+  _globals['_GETCORRECTIONREQUEST']._serialized_start=2049
+  _globals['_GETCORRECTIONREQUEST']._serialized_end=2085
+  _globals['_GETCORRECTIONRESPONSE']._serialized_start=2087
+  _globals['_GETCORRECTIONRESPONSE']._serialized_end=2154
+  _globals['_WATCHCORRECTIONSREQUEST']._serialized_start=2156
+  _globals['_WATCHCORRECTIONSREQUEST']._serialized_end=2229
+  _globals['_WATCHCORRECTIONSRESPONSE']._serialized_start=2231
+  _globals['_WATCHCORRECTIONSRESPONSE']._serialized_end=2301
+  _globals['_MERGEMAPREQUEST']._serialized_start=2304
+  _globals['_MERGEMAPREQUEST']._serialized_end=2455
+  _globals['_MERGEMAPRESPONSE']._serialized_start=2457
+  _globals['_MERGEMAPRESPONSE']._serialized_end=2533
+  _globals['_MAPMERGE']._serialized_start=2536
+  _globals['_MAPMERGE']._serialized_end=2787
+  _globals['_MAPCHANGE']._serialized_start=2790
+  _globals['_MAPCHANGE']._serialized_end=2995
+  _globals['_MAPCHANGE_KIND']._serialized_start=2939
+  _globals['_MAPCHANGE_KIND']._serialized_end=2995
+  _globals['_LISTMAPMERGESREQUEST']._serialized_start=2997
+  _globals['_LISTMAPMERGESREQUEST']._serialized_end=3074
+  _globals['_LISTMAPMERGESRESPONSE']._serialized_start=3076
+  _globals['_LISTMAPMERGESRESPONSE']._serialized_end=3166
+  _globals['_GETMAPMERGEREQUEST']._serialized_start=3168
+  _globals['_GETMAPMERGEREQUEST']._serialized_end=3202
+  _globals['_GETMAPMERGERESPONSE']._serialized_start=3204
+  _globals['_GETMAPMERGERESPONSE']._serialized_end=3266
+  _globals['_REVERTMAPMERGEREQUEST']._serialized_start=3268
+  _globals['_REVERTMAPMERGEREQUEST']._serialized_end=3305
+  _globals['_REVERTMAPMERGERESPONSE']._serialized_start=3307
+  _globals['_REVERTMAPMERGERESPONSE']._serialized_end=3372
+  _globals['_MAPPINGSERVICE']._serialized_start=3375
+  _globals['_MAPPINGSERVICE']._serialized_end=4324
 # @@protoc_insertion_point(module_scope)

@@ -1,3 +1,4 @@
+from revisit.v1 import anchor_pb2 as _anchor_pb2
 from revisit.v1 import geometry_pb2 as _geometry_pb2
 from revisit.v1 import operation_pb2 as _operation_pb2
 from revisit.v1 import session_pb2 as _session_pb2
@@ -32,7 +33,7 @@ class MapVersion(_message.Message):
     def __init__(self, name: _Optional[str] = ..., version: _Optional[int] = ..., in_force: _Optional[bool] = ..., restored_from: _Optional[int] = ..., content_hash: _Optional[str] = ..., operation: _Optional[str] = ..., created_at_ns: _Optional[int] = ..., summary: _Optional[_Union[MapVersionSummary, _Mapping]] = ...) -> None: ...
 
 class MapVersionSummary(_message.Message):
-    __slots__ = ("sessions", "submaps", "frames", "loops_in_map", "loops_set_aside", "loops_unconnected", "chi2", "degrees_of_freedom", "mean_change_m", "max_change_m", "refused_joins", "odometry_faults")
+    __slots__ = ("sessions", "submaps", "frames", "loops_in_map", "loops_set_aside", "loops_unconnected", "chi2", "degrees_of_freedom", "mean_change_m", "max_change_m", "refused_joins", "odometry_faults", "georeferences")
     SESSIONS_FIELD_NUMBER: _ClassVar[int]
     SUBMAPS_FIELD_NUMBER: _ClassVar[int]
     FRAMES_FIELD_NUMBER: _ClassVar[int]
@@ -45,6 +46,7 @@ class MapVersionSummary(_message.Message):
     MAX_CHANGE_M_FIELD_NUMBER: _ClassVar[int]
     REFUSED_JOINS_FIELD_NUMBER: _ClassVar[int]
     ODOMETRY_FAULTS_FIELD_NUMBER: _ClassVar[int]
+    GEOREFERENCES_FIELD_NUMBER: _ClassVar[int]
     sessions: int
     submaps: int
     frames: int
@@ -57,7 +59,8 @@ class MapVersionSummary(_message.Message):
     max_change_m: float
     refused_joins: _containers.RepeatedCompositeFieldContainer[RefusedJoin]
     odometry_faults: _containers.RepeatedCompositeFieldContainer[_session_pb2.OdometryFault]
-    def __init__(self, sessions: _Optional[int] = ..., submaps: _Optional[int] = ..., frames: _Optional[int] = ..., loops_in_map: _Optional[int] = ..., loops_set_aside: _Optional[int] = ..., loops_unconnected: _Optional[int] = ..., chi2: _Optional[float] = ..., degrees_of_freedom: _Optional[int] = ..., mean_change_m: _Optional[float] = ..., max_change_m: _Optional[float] = ..., refused_joins: _Optional[_Iterable[_Union[RefusedJoin, _Mapping]]] = ..., odometry_faults: _Optional[_Iterable[_Union[_session_pb2.OdometryFault, _Mapping]]] = ...) -> None: ...
+    georeferences: _containers.RepeatedCompositeFieldContainer[_anchor_pb2.Georeference]
+    def __init__(self, sessions: _Optional[int] = ..., submaps: _Optional[int] = ..., frames: _Optional[int] = ..., loops_in_map: _Optional[int] = ..., loops_set_aside: _Optional[int] = ..., loops_unconnected: _Optional[int] = ..., chi2: _Optional[float] = ..., degrees_of_freedom: _Optional[int] = ..., mean_change_m: _Optional[float] = ..., max_change_m: _Optional[float] = ..., refused_joins: _Optional[_Iterable[_Union[RefusedJoin, _Mapping]]] = ..., odometry_faults: _Optional[_Iterable[_Union[_session_pb2.OdometryFault, _Mapping]]] = ..., georeferences: _Optional[_Iterable[_Union[_anchor_pb2.Georeference, _Mapping]]] = ...) -> None: ...
 
 class RefusedJoin(_message.Message):
     __slots__ = ("sessions", "other_sessions", "reason", "loops", "common_points", "residual_m", "seen_through_share", "worst_stretch_share")

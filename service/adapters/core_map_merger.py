@@ -56,7 +56,7 @@ class CoreMapMerger:
         from revisit.core.pose_graph.optimisation import optimise
 
         named = NamedGraph.of(graph)
-        optimised = optimise(named.posed, progress=partial(progress, "ALIGN"))
+        optimised = optimise(named.posed, progress=partial(progress, "ALIGN"), anchors=named.fixed)
         sessions = frozenset(named.names[number] for number in second)
         joining = joining_loops(named.posed, optimised, sessions, scale, named.edges(spare))
         return AlignedMaps(named.answer(optimised), joining)

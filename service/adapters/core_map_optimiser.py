@@ -14,7 +14,9 @@ from numpy.typing import NDArray
 from revisit.core.pose_graph.graph import GraphState
 from revisit.service.large_blocks import return_free_memory
 from revisit.service.ports.map_optimiser import (
+    FrameOnEarth,
     JudgedLoop,
+    JudgedTrackAnchor,
     MapGraph,
     OptimisedMap,
     OptimisedTrack,
@@ -22,10 +24,12 @@ from revisit.service.ports.map_optimiser import (
     SessionTrack,
     SolvedMap,
     SolvedTrack,
+    TrackAnchor,
     TrackLoop,
 )
 
 if TYPE_CHECKING:
+    from revisit.core.pose_graph.anchors import Anchor
     from revisit.core.pose_graph.graph import LoopEdge, Node, PoseGraph
     from revisit.core.pose_graph.optimisation import OptimisedGraph
 
@@ -40,7 +44,7 @@ class CoreMapOptimiser:
         from revisit.core.pose_graph.optimisation import optimise
 
         named = NamedGraph.of(graph)
-        return named.answer(optimise(named.posed, progress=partial(progress, "OPTIMISE")))
+        return named.answer(optimise(named.posed, progress=partial(progress, "OPTIMISE"), anchors=named.fixed))
 
     def solved(self, graph: MapGraph, tracks: Sequence[SolvedTrack]) -> SolvedMap:
         """See `MapOptimiser`."""
@@ -62,6 +66,7 @@ class NamedGraph:
     graph: MapGraph
     names: dict[int, str]
     posed: PoseGraph
+    fixed: list[Anchor]
     _nodes: dict[int, Node]
 
     @classmethod
@@ -82,7 +87,7 @@ class NamedGraph:
         usable = [loop for loop in graph.loops if loop.number not in graph.refused]
         anchors = tuple(names[number] for number in graph.anchors or sorted(names))
         posed = PoseGraph.of(trajectories, _edges(usable, nodes), anchors)
-        return cls(graph, names, weighed(posed, graph.window_m), nodes)
+        return cls(graph, names, weighed(posed, graph.window_m), _anchors(graph.fixed, nodes), nodes)
 
     def edges(self, loops: Sequence[TrackLoop]) -> list[LoopEdge]:
         """Further loops between its submaps."""
@@ -102,7 +107,18 @@ class NamedGraph:
         loops = tuple(judged[loop.number] for loop in self.graph.loops)
         numbers = {name: number for number, name in self.names.items()}
         faults = tuple(replace(one, session=str(numbers[one.session])) for one in optimised.faults)
-        return OptimisedMap(tracks, loops, optimised.chi2, optimised.degrees_of_freedom, faults)
+        return OptimisedMap(
+            tracks,
+            loops,
+            optimised.chi2,
+            optimised.degrees_of_freedom,
+            faults,
+            anchors=tuple(
+                JudgedTrackAnchor(_number(anchor.name), verdict)
+                for anchor, verdict in zip(self.fixed, optimised.anchors, strict=True)
+            ),
+            on_earth=tuple(FrameOnEarth(numbers[one.session], one) for one in optimised.georeferences),
+        )
 
     def _track(self, track: SessionTrack, optimised: OptimisedGraph) -> OptimisedTrack:
         name = self.names[track.session_number]
@@ -118,7 +134,12 @@ class NamedGraph:
 
 def loop_number(loop: LoopEdge) -> int:
     """The number of a loop by its name in a `NamedGraph`."""
-    return int(loop.name.rpartition(":")[2])
+    return _number(loop.name)
+
+
+def _number(name: str) -> int:
+    """The number at the end of a name of a loop or an anchor."""
+    return int(name.rpartition(":")[2])
 
 
 def _names(tracks: tuple[SessionTrack, ...]) -> dict[int, str]:
@@ -129,6 +150,24 @@ def _names(tracks: tuple[SessionTrack, ...]) -> dict[int, str]:
 
 def _digest(array: Array64) -> str:
     return hashlib.sha256(np.ascontiguousarray(array, dtype="<f8").tobytes()).hexdigest()
+
+
+def _anchors(fixed: Sequence[TrackAnchor], nodes: dict[int, Node]) -> list[Anchor]:
+    """Anchors in an order of their own, as loops have one."""
+    from revisit.core.pose_graph.anchors import Anchor
+
+    made = [
+        Anchor(
+            f"{_digest(np.concatenate([one.place_enu, one.point_submap, one.covariance.ravel()]))}:{one.number}",
+            nodes[one.submap],
+            one.point_submap,
+            one.place_enu,
+            one.covariance,
+            one.heading,
+        )
+        for one in fixed
+    ]
+    return sorted(made, key=lambda one: (one.node, one.name))
 
 
 def _edges(loops: Sequence[TrackLoop], nodes: dict[int, Node]) -> list[LoopEdge]:

@@ -14,7 +14,7 @@ from revisit.service.features.catalogue.sessions import CreateSession, SessionVi
 from revisit.service.features.resources.views import SubmapView
 from revisit.service.use_cases import UseCases
 from revisit.service.wire import names, requests
-from revisit.service.wire.fields import Fields, failure_fields, fields_in_map, fields_of, resource_name
+from revisit.service.wire.fields import Fields, failure_fields, fields_in_map, fields_of, geodetic_fields, resource_name
 from revisit.service.wire.rendering import Answer
 from revisit.v1 import map_pb2, robot_pb2, session_pb2, submap_pb2
 
@@ -65,7 +65,8 @@ async def download_submap(
 
 def map_fields(view: MapView) -> Fields:
     """The fields of a Map."""
-    return fields_of(map_pb2.Map, view, name=f"maps/{view.map_id}")
+    origin = None if view.origin is None else geodetic_fields(view.origin)
+    return fields_of(map_pb2.Map, view, name=f"maps/{view.map_id}", origin=origin)
 
 
 def robot_fields(record: RobotRecord) -> Fields:

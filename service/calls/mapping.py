@@ -11,9 +11,17 @@ from revisit.service.domain.records import MapMergeRecord
 from revisit.service.features.corrections.calls import CorrectionView
 from revisit.service.features.merging.calls import MergeMap
 from revisit.service.features.optimisation.calls import MapVersionView, SubmapPoseView
+from revisit.service.ports.map_optimiser import GEOREFERENCES
 from revisit.service.use_cases import UseCases
 from revisit.service.wire import names, requests
-from revisit.service.wire.fields import Fields, covariance_numbers, fields_of, resource_name, vector_fields
+from revisit.service.wire.fields import (
+    Fields,
+    covariance_numbers,
+    fields_of,
+    resource_name,
+    transform_fields,
+    vector_fields,
+)
 from revisit.service.wire.rendering import Answer
 from revisit.v1 import mapping_pb2 as pb
 
@@ -43,7 +51,15 @@ async def watch_corrections(
 def version_fields(view: MapVersionView) -> Fields:
     """The fields of a MapVersion."""
     name, operation = f"maps/{view.map_id}/versions/{view.version}", resource_name("operations", view.operation_id)
-    return fields_of(pb.MapVersion, view, name=name, operation=operation)
+    return fields_of(pb.MapVersion, view, name=name, operation=operation, summary=_summary_fields(view.summary))
+
+
+def _summary_fields(summary: Mapping[str, Any]) -> Fields:
+    """The fields of a MapVersionSummary."""
+    frames = [{**one, "t_enu_map": transform_fields(one["T_enu_map"])} for one in summary.get(GEOREFERENCES, ())]
+    for frame in frames:
+        del frame["T_enu_map"]
+    return {**summary, GEOREFERENCES: frames}
 
 
 def submap_pose_fields(view: SubmapPoseView) -> Fields:

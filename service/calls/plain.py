@@ -12,6 +12,7 @@ from typing import Any, cast
 from google.protobuf.descriptor import Descriptor
 
 from revisit.api.calls import NAMED, Call
+from revisit.service.calls.anchors import anchor_fields
 from revisit.service.calls.catalogue import map_fields, robot_fields, session_fields, submap_fields
 from revisit.service.calls.loops import loop_event_fields, loop_fields
 from revisit.service.calls.map_parts import file_fields, tile_fields
@@ -36,6 +37,8 @@ USES: Mapping[str, Callable[[UseCases], Callable[..., Awaitable[Any]]]] = {
     "DeleteSession": lambda cases: cases.sessions.delete,
     "ListSubmaps": lambda cases: cases.submaps.list,
     "DeleteSubmap": lambda cases: cases.submaps.delete,
+    "ListAnchors": lambda cases: cases.anchors.list,
+    "DeleteAnchor": lambda cases: cases.anchors.delete,
     "GetLoopClosure": lambda cases: cases.loops.get,
     "AcceptLoopClosure": lambda cases: cases.loop_decisions.accept,
     "RejectLoopClosure": lambda cases: cases.loop_decisions.reject,
@@ -72,6 +75,7 @@ FIELDS: Mapping[str, Callable[[Any], Fields]] = {
     "Robot": robot_fields,
     "Session": session_fields,
     "Submap": submap_fields,
+    "Anchor": anchor_fields,
     "LoopClosure": loop_fields,
     "LoopClosureEvent": loop_event_fields,
     "MapVersion": version_fields,

@@ -8,6 +8,7 @@ from typing import Any, cast
 
 from revisit.api.calls import Call
 from revisit.service.calls import (
+    anchors,
     catalogue,
     ingest,
     loops,
@@ -24,7 +25,7 @@ from revisit.service.use_cases import UseCases
 from revisit.service.wire.fields import Fields
 from revisit.service.wire.rendering import Answer
 
-ROOMS = (catalogue, ingest, search, loops, mapping, map_parts, operations, push, retention)
+ROOMS = (anchors, catalogue, ingest, search, loops, mapping, map_parts, operations, push, retention)
 
 
 def answers(call: Call, cases: UseCases) -> Callable[[TenantId, Any], Awaitable[Answer]]:

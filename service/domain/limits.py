@@ -110,6 +110,21 @@ TILE_WAIT_S = 60.0
 MAP_FILES = 50
 """Of a map: the oldest that is not ENABLED is deleted when one more is published."""
 
+# Anchors
+ANCHORS = Range(1, 200)
+"""Of one call."""
+ANCHORS_OF_SESSION = 50_000
+GEODETIC = {
+    "latitude_deg": Range(-90.0, 90.0, "degrees"),
+    "longitude_deg": Range(-180.0, 180.0, "degrees"),
+    "altitude_m": Range(-10_000.0, 100_000.0, "metres"),
+}
+LOCAL = dict.fromkeys(("local_m.x", "local_m.y", "local_m.z"), Range(-1e6, 1e6, "metres"))
+ANCHOR_OFFSET_M = Range(-1000.0, 1000.0, "metres")
+PLACE_VARIANCE_M2 = Range(1e-6, 1e8, "m^2")
+HEADING_RAD = Range(-10.0, 10.0, "radians")
+HEADING_SIGMA_RAD = Range(1e-4, 1.0, "radians")
+
 # Lists and waiting
 PAGE_SIZE = Range(1, 500)
 PAGE_TOKEN_CHARACTERS = 200

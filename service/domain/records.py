@@ -26,6 +26,7 @@ class MapRecord:
     force, 0 for none; `graph_edits` counts the changes that made a part of its pose graph void. `index_file` names the
     file that its index may be loaded from. `retention` is its own `RetentionPolicy` as text, None for that of the
     service, and `retention_run` the last run that removed anything, JSON (see `features.retention.reports`).
+    `origin`: latitude and longitude, degrees, and altitude, metres, where its anchors measure from; None without any.
     """
 
     tenant: TenantId
@@ -48,6 +49,7 @@ class MapRecord:
     profile: str = "product"
     retention: str | None = None
     retention_run: dict[str, Any] | None = None
+    origin: tuple[float, float, float] | None = None
     number: int = 0
 
 
@@ -288,7 +290,8 @@ class MapVersionRecord:
     """A version of a map's poses (see `SessionPosesRecord`), and its verdict on each loop, packed.
 
     `loops` holds, of every loop that it judged, its number, its state and its squared distance from the poses (see
-    `contract.session_poses`); `loops_hash` is that of `loops`.
+    `contract.session_poses`); `loops_hash` is that of `loops`. `anchors` are the verdicts on anchors, packed (see
+    `features.graph.anchor_verdicts`); None where there were none.
     """
 
     tenant: TenantId
@@ -300,6 +303,7 @@ class MapVersionRecord:
     loops: bytes
     loops_hash: str
     created_at_ns: int
+    anchors: bytes | None = None
     number: int = 0
 
 
@@ -321,6 +325,38 @@ class SessionPosesRecord:
     content_hash: str
     created_at_ns: int
     number: int = 0
+
+
+@dataclass(frozen=True)
+class AnchorRecord:
+    """The place in the world of a point of a robot at `stamp_ns`, of a kind of `AnchorKind`.
+
+    `position` is latitude and longitude, degrees, and altitude, metres, where `frame` is WGS84; metres east, north and
+    above the origin of the map where it is LOCAL. covariance, 9 numbers of east, north and up, m^2; offset_m, the point
+    in the frame of the sensor; heading_rad, of the sensor's x axis, counter-clockwise from east.
+    """
+
+    tenant: TenantId
+    map_id: str
+    session_id: str
+    anchor_id: str
+    content_hash: str
+    kind: str
+    frame: str
+    stamp_ns: int
+    position: tuple[float, float, float]
+    covariance: tuple[float, ...]
+    offset_m: tuple[float, float, float]
+    T_odom_sensor: Pose
+    heading_rad: float | None
+    heading_sigma_rad: float | None
+    created_at_ns: int
+    number: int = 0
+
+    @property
+    def name(self) -> str:
+        """The resource name."""
+        return f"{SessionKey(self.map_id, self.session_id).name}/anchors/{self.anchor_id}"
 
 
 @dataclass(frozen=True)

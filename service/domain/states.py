@@ -32,6 +32,21 @@ class LoopState(StrEnum):
     PROPOSED = "PROPOSED"
 
 
+class AnchorKind(StrEnum):
+    """The source of an anchor."""
+
+    GNSS = "GNSS"
+    CONTROL_POINT = "CONTROL_POINT"
+    KNOWN_POSE = "KNOWN_POSE"
+
+
+class AnchorFrame(StrEnum):
+    """The frame of an anchor's place: earth, or metres from the origin of the map."""
+
+    WGS84 = "WGS84"
+    LOCAL = "LOCAL"
+
+
 class LoopEventKind(StrEnum):
     """The kind of a change of a loop closure."""
 

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from revisit.core.geometry.se3 import Matrix4
 from revisit.core.merge.evidence import MergeEvidence, MergeRefusal
+from revisit.core.pose_graph.anchors import Georeference, Heading, JudgedAnchor
 from revisit.core.pose_graph.faults import OdometryFault
 from revisit.core.pose_graph.graph import GraphState
 
@@ -49,11 +50,25 @@ class TrackLoop:
 
 
 @dataclass(frozen=True)
+class TrackAnchor:
+    """An anchor of number `number`: point_submap (3,) of submap `submap`, by number, lies at place_enu (3,), metres
+    east, north and up from the origin of the map, with covariance (3, 3).
+    """
+
+    number: int
+    submap: int
+    point_submap: Array64
+    place_enu: Array64
+    covariance: Array64
+    heading: Heading | None = None
+
+
+@dataclass(frozen=True)
 class MapGraph:
     """The sessions of a map and the accepted loops between their submaps, each of which covers `window_m` metres.
 
     Of sessions that loops join, the first that `anchors` numbers gives the frame; the oldest where it is empty.
-    `refused` loops, by number, each with the reason, count for nothing and are SET_ASIDE.
+    `refused` loops, by number, each with the reason, count for nothing and are SET_ASIDE. `fixed`: anchors on earth.
     """
 
     tracks: tuple[SessionTrack, ...]
@@ -61,6 +76,23 @@ class MapGraph:
     window_m: float
     anchors: tuple[int, ...] = ()
     refused: Mapping[int, str] = field(default_factory=dict)
+    fixed: tuple[TrackAnchor, ...] = ()
+
+
+@dataclass(frozen=True)
+class JudgedTrackAnchor:
+    """The graph's verdict on the anchor of a number."""
+
+    number: int
+    verdict: JudgedAnchor
+
+
+@dataclass(frozen=True)
+class FrameOnEarth:
+    """The place on earth of the frame that the session of a number gives."""
+
+    session_number: int
+    found: Georeference
 
 
 @dataclass(frozen=True)
@@ -93,6 +125,9 @@ class JudgedLoop:
 FAULTS = "odometry_faults"
 """Where the stored summary of a version keeps the faults of odometry, beside the fields of a MapVersionSummary."""
 
+GEOREFERENCES = "georeferences"
+"""Where the stored summary of a version keeps the frames that lie on earth, where there are any."""
+
 AUDITED = "audited_submaps"
 """Where the stored summary of a version keeps `OptimisedMap.audited`."""
 
@@ -116,7 +151,8 @@ class OptimisedMap:
     """The most likely poses, what they say of every loop, how well they fit (`chi2` by `degrees_of_freedom`), the
     faults of odometry without which they do (`session` is the number), and the joins that surfaces speak against.
 
-    audited: how many submaps each session, by number, had when its surfaces were last compared with others.
+    audited: how many submaps each session, by number, had when its surfaces were last compared with others. anchors:
+    the verdicts on them; on_earth, the frames that they hold.
     """
 
     tracks: tuple[OptimisedTrack, ...]
@@ -126,6 +162,8 @@ class OptimisedMap:
     faults: tuple[OdometryFault, ...] = ()
     refused_joins: tuple[RefusedJoin, ...] = ()
     audited: Mapping[int, int] = field(default_factory=dict)
+    anchors: tuple[JudgedTrackAnchor, ...] = ()
+    on_earth: tuple[FrameOnEarth, ...] = ()
 
 
 @dataclass(frozen=True)

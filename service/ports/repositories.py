@@ -123,12 +123,13 @@ class ScanRepository(Repository[ScanRecord], Protocol):
 
 @dataclass(frozen=True)
 class PlacedSubmap:
-    """Number of a submap, number of its session, place in the order of the drive, and pose in the odometry frame."""
+    """Number of a submap, number of its session, place in the order of the drive, pose in the odometry frame, time."""
 
     number: int
     session_number: int
     ordinal: int
     T_odom_submap: Pose
+    stamp_ns: int
 
 
 @dataclass(frozen=True)

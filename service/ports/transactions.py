@@ -8,6 +8,7 @@ from typing import Protocol, TypeVar
 
 from revisit.service.domain.events import EventLog
 from revisit.service.domain.records import (
+    AnchorRecord,
     DeletionRecord,
     EarlyCorrectionRecord,
     LoopEventRecord,
@@ -87,6 +88,11 @@ class UnitOfWork(Protocol):
     @property
     def session_poses(self) -> Repository[SessionPosesRecord]:
         """The poses of sessions in versions of maps by (map_id, version, session_id)."""
+        ...
+
+    @property
+    def anchors(self) -> Repository[AnchorRecord]:
+        """Anchors of sessions by (map_id, session_id, anchor_id)."""
         ...
 
     @property

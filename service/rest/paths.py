@@ -11,6 +11,7 @@ ID_NAMES = {
     "robots": "robot_id",
     "sessions": "session_id",
     "submaps": "submap_id",
+    "anchors": "anchor_id",
     "loopClosures": "loop_id",
     "versions": VERSION_ID,
     "files": VERSION_ID,

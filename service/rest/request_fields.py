@@ -40,6 +40,9 @@ BOUNDS: dict[str, Range] = {
     "radius_m": limits.RADIUS_M,
     "within_m": limits.MAP_RADIUS_M,
     "limit": limits.MAP_POINTS,
+    "heading_rad": limits.HEADING_RAD,
+    "heading_sigma_rad": limits.HEADING_SIGMA_RAD,
+    **limits.GEODETIC,
     "page_size": limits.PAGE_SIZE,
     "min_seq": limits.MIN_SEQ,
     "min_seq_timeout_s": limits.WAIT_S,
@@ -51,6 +54,7 @@ TEXTS: dict[str, dict[str, Any]] = {
     "map_id": ID,
     "robot_id": ID,
     "session_id": ID,
+    "anchor_id": ID,
     "webhook_id": ID,
     "robot": ID,
     "map": ID,
@@ -74,6 +78,7 @@ TEXTS: dict[str, dict[str, Any]] = {
 
 DEFAULTS: dict[str, Any] = {
     "policy": None,
+    "geodetic": None,
     "profile": CreateMap.profile,
     "scene_scale": 1.0,
     "k": SearchCriteria().k,
@@ -90,5 +95,5 @@ DEFAULTS: dict[str, Any] = {
 
 REQUIRED = frozenset({
     "map_id", "robot_id", "session_id", "webhook_id", "url", "version", "source", "query", "match", "points_m",
-    "centre_m", "within_m",
+    "centre_m", "within_m", "anchors", "anchor_id",
 })  # fmt: skip

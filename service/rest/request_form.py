@@ -11,7 +11,7 @@ import inspect
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cache, partial
-from typing import Annotated, Any, Literal, TypeVar
+from typing import Annotated, Any, Literal, TypeVar, cast
 
 from fastapi import Query
 from google.protobuf.descriptor import Descriptor, EnumDescriptor, FieldDescriptor
@@ -135,7 +135,7 @@ def _spelled(field: FieldDescriptor, in_body: bool) -> Spelled:
     elif is_point(field):
         read = _points if field.is_repeated else partial(_point, field.name)
     elif _is_part(field):
-        read = _part_fields
+        read = partial(_parts if field.is_repeated else _part_fields, cast(Descriptor, field.message_type))
     return Spelled(field.name, name, _kind(field, by_id, in_body), _default(field, by_id), read, resource)
 
 
@@ -183,7 +183,13 @@ def _type_of_one(field: FieldDescriptor) -> Any:
 @cache
 def _part(descriptor: Descriptor) -> type[Request]:
     """The model of a message within a request."""
-    return _model(descriptor, tuple(_spelled(field, True) for field in descriptor.fields), 0)
+    return _model(descriptor, _spelled_parts(descriptor), 0)
+
+
+@cache
+def _spelled_parts(descriptor: Descriptor) -> tuple[Spelled, ...]:
+    """The fields of a message within a request as HTTP has them."""
+    return tuple(_spelled(field, True) for field in descriptor.fields)
 
 
 _SCALARS: dict[int, type] = {
@@ -254,5 +260,11 @@ def _points(value: list[float]) -> list[dict[str, float]]:
     return [dict(zip("xyz", value[i : i + 3], strict=True)) for i in range(0, len(value), 3)]
 
 
-def _part_fields(value: Request) -> dict[str, Any]:
-    return value.model_dump(exclude_none=True)
+def _part_fields(descriptor: Descriptor, value: Request) -> dict[str, Any]:
+    """The fields of a message within a request."""
+    sent = ((one, getattr(value, one.name)) for one in _spelled_parts(descriptor))
+    return {one.field: one.value(each, "") for one, each in sent if each is not None}
+
+
+def _parts(descriptor: Descriptor, values: list[Request]) -> list[dict[str, Any]]:
+    return [_part_fields(descriptor, value) for value in values]

@@ -89,6 +89,12 @@ def vector_fields(values: Iterable[float]) -> Fields:
     return {"x": x, "y": y, "z": z}
 
 
+def geodetic_fields(position: Iterable[float]) -> Fields:
+    """The fields of a GeodeticPosition."""
+    latitude_deg, longitude_deg, altitude_m = position
+    return {"latitude_deg": latitude_deg, "longitude_deg": longitude_deg, "altitude_m": altitude_m}
+
+
 def transform_fields(T_target_source: Matrix4 | Pose) -> Fields:
     """The fields of a Transform, from a (4, 4) matrix or the 16 numbers of a row."""
     T = np.asarray(T_target_source, dtype=np.float64).reshape(4, 4)

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import builtins
+from collections.abc import Iterable
+from typing import Any
 
 from revisit.sdk import names
+from revisit.sdk.anchors import ANCHORS_AT_ONCE, NewAnchor
 from revisit.sdk.groups.group import Group
 from revisit.sdk.input_watch import warn_of_session
 from revisit.sdk.names import name_of
-from revisit.sdk.resources import Correction, Map, Robot, Session
+from revisit.sdk.resources import Anchor, Correction, Map, Robot, Session
 
 
 class Sessions(Group):
@@ -54,6 +57,26 @@ class Sessions(Group):
     def delete(self, session: str | Session) -> None:
         """Delete a session with everything in it."""
         self._ask("DeleteSession", name=name_of(session, names.SESSION))
+
+    def post_anchors(self, session: str | Session, anchors: Iterable[NewAnchor]) -> builtins.list[Anchor]:
+        """Post anchors of a session: places of points of the robot that the world outside tells.
+
+        Any number, 200 in a call; those that the service has with the same content are passed over.
+        """
+        parent, made = name_of(session, names.SESSION), [one.message() for one in anchors]
+        posted: builtins.list[Anchor] = []
+        for start in range(0, len(made), ANCHORS_AT_ONCE):
+            some: Any = made[start : start + ANCHORS_AT_ONCE]
+            posted += map(Anchor.of, self._ask("PostAnchors", parent=parent, anchors=some).anchors)
+        return posted
+
+    def anchors(self, session: str | Session) -> builtins.list[Anchor]:
+        """The anchors of a session in the order in which they came, with the verdict of the version in force."""
+        return self._list(Anchor, "ListAnchors", parent=name_of(session, names.SESSION))
+
+    def delete_anchor(self, anchor: str | Anchor) -> None:
+        """Delete an anchor; the map is optimised without it."""
+        self._ask("DeleteAnchor", name=name_of(anchor, names.ANCHOR))
 
     def correction(self, session: str | Session) -> Correction:
         """Where the odometry frame of a session lies in the map.

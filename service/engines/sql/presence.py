@@ -20,6 +20,7 @@ SESSIONS_OF: dict[Table, tuple[str, ...]] = {
     tables.loop_events: ("query_session_id", "match_session_id"),
     tables.map_versions: (),
     tables.session_poses: ("session_id",),
+    tables.anchors: ("session_id",),
     tables.early_corrections: ("session_id",),
     tables.map_merges: (),
     tables.map_tiles: (),

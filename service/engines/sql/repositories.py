@@ -273,7 +273,7 @@ class SqlSubmaps(SqlRepository[SubmapRecord]):
     def placed(self, tenant: TenantId, map_id: str, after: int = 0) -> list[PlacedSubmap]:
         """See `SubmapRepository`."""
         submaps, asked = tables.submaps.c, of_tenant(tenant, {"map_id": map_id})
-        columns = (submaps.number, submaps.session_number, submaps.ordinal, submaps.T_odom_submap)
+        columns = (submaps[field.name] for field in dataclasses.fields(PlacedSubmap))
         query = select(*columns).where(self._where(asked), submaps.seq > after)
         query = query.order_by(submaps.session_number, submaps.ordinal)
         return [PlacedSubmap(*row) for row in self._connection.execute(query, asked)]

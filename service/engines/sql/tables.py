@@ -119,6 +119,7 @@ maps = _numbered(
     Column("profile", String(16), nullable=False, server_default="product"),
     _text("retention", length=256, nullable=True),
     _json("retention_run", nullable=True),
+    _tuple("origin", nullable=True),
 )
 
 robots = _numbered(
@@ -290,6 +291,7 @@ map_versions = _numbered(
     Column("loops", LargeBinary, nullable=False),
     _text("loops_hash"),
     _integer("created_at_ns"),
+    Column("anchors", LargeBinary, nullable=True),
     ForeignKeyConstraint(["tenant", "map_id"], ["maps.tenant", "maps.map_id"]),
 )
 
@@ -312,6 +314,28 @@ session_poses = _numbered(
         ["tenant", "map_id", "version"], ["map_versions.tenant", "map_versions.map_id", "map_versions.version"]
     ),
     Index(None, "tenant", "map_id", "session_id"),
+)
+
+anchors = _numbered(
+    "anchors",
+    ("map_id", "session_id", "anchor_id"),
+    _text("map_id"),
+    _text("session_id"),
+    _text("anchor_id"),
+    _text("content_hash"),
+    _text("kind", length=16),
+    _text("frame", length=16),
+    _integer("stamp_ns"),
+    _tuple("position"),
+    _tuple("covariance"),
+    _tuple("offset_m"),
+    _pose("T_odom_sensor"),
+    _real("heading_rad", nullable=True),
+    _real("heading_sigma_rad", nullable=True),
+    _integer("created_at_ns"),
+    ForeignKeyConstraint(
+        ["tenant", "map_id", "session_id"], ["sessions.tenant", "sessions.map_id", "sessions.session_id"]
+    ),
 )
 
 early_corrections = _numbered(

@@ -17,6 +17,7 @@ from revisit.service.domain.events import (
     on_version_change,
 )
 from revisit.service.domain.records import (
+    AnchorRecord,
     DeletionRecord,
     EarlyCorrectionRecord,
     JobRecord,
@@ -118,6 +119,8 @@ class SqlUnitOfWork:
     """Versions of maps by (map_id, version)."""
     session_poses = stored(tables.session_poses, SessionPosesRecord)
     """The poses of sessions in versions of maps by (map_id, version, session_id)."""
+    anchors = stored(tables.anchors, AnchorRecord)
+    """Anchors of sessions by (map_id, session_id, anchor_id)."""
     early_corrections = stored(tables.early_corrections, EarlyCorrectionRecord)
     """Corrections ahead of the next version by (map_id, session_id)."""
     deletions = stored(tables.deletions, DeletionRecord)

@@ -128,6 +128,8 @@ class Sessions:
         uow.sessions.replace(finished)
         if accept_decided(uow, tenant, key, now_ns):
             optimise_soon(uow, tenant, key.map_id, self._context.policy, now_ns)
+        if uow.anchors.find(tenant, limit=1, map_id=key.map_id, session_id=key.session_id):
+            optimise_soon(uow, tenant, key.map_id, self._context.policy, now_ns, decided=True)
         return self._whole(uow, finished)
 
     async def delete(self, tenant: TenantId, key: SessionKey) -> None:

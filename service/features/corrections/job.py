@@ -24,6 +24,7 @@ from revisit.service.domain.records import (
     SessionPosesRecord,
 )
 from revisit.service.domain.states import OperationKind, OperationState
+from revisit.service.features.graph.anchor_verdicts import frames_on_earth
 from revisit.service.features.graph.reading import MapTask, read_task, track_loop
 from revisit.service.features.graph.session_poses import PackedSubmaps
 from revisit.service.ports.clock import Clock
@@ -166,7 +167,7 @@ def _news(
 ) -> _News | None:
     """None where there is nothing to correct, or where other jobs wait and the worker `rests`."""
     record = uow.maps.get(tenant, map_id)
-    if record is None or not record.map_version:
+    if record is None or not record.map_version or _on_earth(uow, record):
         return None
     if rests and _others_wait(uow, tenant):
         return None
@@ -184,6 +185,12 @@ def _news(
         return _News(record, None, loops, *last, later)
     task = read_task(uow, policy, tenant, map_id)
     return None if task is None else _News(record, task, loops, *last, _submaps(task))
+
+
+def _on_earth(uow: UnitOfWork, record: MapRecord) -> bool:
+    """Whether anchors hold the version in force, which a solution by loops alone would let go."""
+    version = uow.map_versions.get(record.tenant, record.map_id, record.map_version)
+    return version is not None and bool(frames_on_earth(version.summary))
 
 
 def _others_wait(uow: UnitOfWork, tenant: TenantId) -> bool:

@@ -150,6 +150,10 @@ def _scans(uow: UnitOfWork, deletion: DeletionRecord, _: int) -> bool:
     return bool(scans)
 
 
+def _anchors(uow: UnitOfWork, deletion: DeletionRecord, _: int) -> bool:
+    return bool(_without(uow.anchors, deletion, ROWS))
+
+
 def _poses(uow: UnitOfWork, deletion: DeletionRecord, _: int) -> bool:
     gone = _without(uow.session_poses, deletion, VERSIONS)
     if deletion.session_id:
@@ -194,7 +198,7 @@ def _mark(uow: UnitOfWork, deletion: DeletionRecord, _: int) -> bool:
     return False
 
 
-_STEPS: tuple[Step, ...] = (_submaps, _scans, _poses, _tiles, _files, _versions, _sessions, _mark)
+_STEPS: tuple[Step, ...] = (_submaps, _scans, _anchors, _poses, _tiles, _files, _versions, _sessions, _mark)
 """In an order that leaves no row without its parent."""
 
 

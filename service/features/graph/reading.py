@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import groupby
 from typing import Any
@@ -15,7 +15,9 @@ from revisit.service.domain.identity import TenantId
 from revisit.service.domain.policy import Policy
 from revisit.service.domain.records import LoopRecord, MapRecord, SessionPosesRecord
 from revisit.service.domain.states import LoopState
+from revisit.service.features.graph.anchors import read_anchors
 from revisit.service.ports.map_optimiser import AUDITED, MapGraph, SessionTrack, TrackLoop
+from revisit.service.ports.repositories import PlacedSubmap
 from revisit.service.ports.transactions import UnitOfWork
 
 _PAGE = 500
@@ -45,9 +47,11 @@ def read_task(uow: UnitOfWork, policy: Policy, tenant: TenantId, map_id: str) ->
     if record is None:
         return None
     ids = {session.number: session.session_id for session in uow.sessions.find(tenant, map_id=map_id)}
-    tracks = _tracks(uow, tenant, map_id)
+    placed = uow.submaps.placed(tenant, map_id)
+    tracks = _tracks(placed)
     loops, of_graph = _accepted(uow, tenant, map_id)
-    graph = MapGraph(tracks, of_graph, policy.for_map(record).submap.tau)
+    fixed = read_anchors(uow, record, placed)
+    graph = MapGraph(tracks, of_graph, policy.for_map(record).submap.tau, fixed=fixed)
     before = uow.session_poses.find(tenant, map_id=map_id, version=record.map_version)
     version = uow.map_versions.get(tenant, map_id, record.map_version)
     audited = {} if version is None else {int(one): n for one, n in version.summary.get(AUDITED, {}).items()}
@@ -80,12 +84,12 @@ def with_evidence(uow: UnitOfWork, loops: Sequence[LoopRecord]) -> Iterator[Loop
         yield from (replace(loop, evidence=stored[loop.number].evidence) for loop in some)
 
 
-def _tracks(uow: UnitOfWork, tenant: TenantId, map_id: str) -> tuple[SessionTrack, ...]:
+def _tracks(placed: Iterable[PlacedSubmap]) -> tuple[SessionTrack, ...]:
     tracks = []
-    for number, of_session in groupby(uow.submaps.placed(tenant, map_id), key=lambda one: one.session_number):
-        placed = list(of_session)
-        poses = np.stack([pose_matrix(one.T_odom_submap) for one in placed])
-        tracks.append(SessionTrack(number, tuple(one.number for one in placed), poses))
+    for number, of_session in groupby(placed, key=lambda one: one.session_number):
+        drive = list(of_session)
+        poses = np.stack([pose_matrix(one.T_odom_submap) for one in drive])
+        tracks.append(SessionTrack(number, tuple(one.number for one in drive), poses))
     return tuple(tracks)
 
 

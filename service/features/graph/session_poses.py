@@ -15,7 +15,8 @@ from revisit.core.geometry.se3 import Matrix4
 from revisit.core.pose_graph.graph import GraphState
 from revisit.service.domain.identity import SessionKey, TenantId
 from revisit.service.domain.records import MapVersionRecord
-from revisit.service.ports.map_optimiser import FAULTS, REFUSED_JOINS, JudgedLoop
+from revisit.service.features.graph.anchor_verdicts import hash_of_anchors, kept_anchors
+from revisit.service.ports.map_optimiser import FAULTS, GEOREFERENCES, REFUSED_JOINS, JudgedLoop
 from revisit.service.ports.transactions import UnitOfWork
 
 _SUBMAP = np.dtype([("number", "<i8"), ("T_map_submap", "<f8", (4, 4)), ("covariance", "<f4", (6, 6))])
@@ -86,8 +87,9 @@ def hash_of_session(session_number: int, frame: str, T_map_odom: Matrix4, submap
 
 
 def hash_of_version(record: MapVersionRecord, sessions: Iterable[str]) -> str:
-    """SHA-256 (hex) of a version: of its verdicts and of its sessions' hashes, in any order."""
-    return hashlib.sha256("\n".join([record.loops_hash, *sorted(sessions)]).encode()).hexdigest()
+    """SHA-256 (hex) of a version: of its verdicts and of its sessions' hashes, in any order, and of its anchors."""
+    parts = [record.loops_hash, *sorted(sessions), *hash_of_anchors(record)]
+    return hashlib.sha256("\n".join(parts).encode()).hexdigest()
 
 
 def forget_submap(uow: UnitOfWork, tenant: TenantId, map_id: str, session_id: str, number: int) -> None:
@@ -107,8 +109,10 @@ def forget_submap(uow: UnitOfWork, tenant: TenantId, map_id: str, session_id: st
     forget_in_summaries(uow, tenant, map_id, forgotten)
 
 
-def _of_sessions(summary: Mapping[str, Any], sessions: Collection[str]) -> dict[str, Any]:
-    """The refused joins and faults of odometry of a summary, if there are any, of the sessions of these names."""
+def _of_sessions(summary: Mapping[str, Any], sessions: Collection[str], frames: Collection[str]) -> dict[str, Any]:
+    """The refused joins and faults of odometry of a summary, if there are any, of the sessions of these names; and of
+    frames of these names where they lie on earth.
+    """
     sides = ("sessions", "other_sessions")
     joins = [
         {**join, **{side: [name for name in join[side] if name in sessions] for side in sides}}
@@ -117,6 +121,7 @@ def _of_sessions(summary: Mapping[str, Any], sessions: Collection[str]) -> dict[
     left = {
         REFUSED_JOINS: [join for join in joins if all(join[side] for side in sides)],
         FAULTS: [fault for fault in summary.get(FAULTS, ()) if fault["session"] in sessions],
+        GEOREFERENCES: [one for one in summary.get(GEOREFERENCES, ()) if one["frame"] in frames],
     }
     return {name: its for name, its in left.items() if name in summary}
 
@@ -124,6 +129,7 @@ def _of_sessions(summary: Mapping[str, Any], sessions: Collection[str]) -> dict[
 def forget_in_summaries(uow: UnitOfWork, tenant: TenantId, map_id: str, submaps: Mapping[int, int]) -> None:
     """Take loops that are gone out of some versions, and out of their summaries; `submaps` gone, by version."""
     held = np.array(sorted(uow.loops.distinct(tenant, "number", map_id=map_id)), dtype=np.int64)
+    anchors = uow.anchors.distinct(tenant, "number", map_id=map_id)
     for version in sorted(number for number, gone in submaps.items() if gone):
         row = uow.map_versions.get(tenant, map_id, version)
         if row is None:
@@ -135,13 +141,17 @@ def forget_in_summaries(uow: UnitOfWork, tenant: TenantId, map_id: str, submaps:
             zip(LOOPS_IN_SUMMARY, np.bincount(verdicts["state"], minlength=len(_STATES)).tolist(), strict=True)
         )
         sessions = uow.session_poses.distinct(tenant, "session_id", **of_version)
+        frames = uow.session_poses.distinct(tenant, "frame", **of_version)
         summary = {
             **row.summary,
             **loops,
-            **_of_sessions(row.summary, {SessionKey(map_id, one).name for one in sessions}),
+            **_of_sessions(row.summary, {SessionKey(map_id, one).name for one in sessions}, frames),
             "sessions": len(sessions),
-            "frames": len(uow.session_poses.distinct(tenant, "frame", **of_version)),
+            "frames": len(frames),
             "submaps": row.summary["submaps"] - submaps[version],
         }
         data = verdicts.tobytes()
-        uow.map_versions.replace(replace(row, summary=summary, loops=data, loops_hash=hash_of_loops(data)))
+        left = kept_anchors(row.anchors, anchors)
+        uow.map_versions.replace(
+            replace(row, summary=summary, loops=data, loops_hash=hash_of_loops(data), anchors=left)
+        )

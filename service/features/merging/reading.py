@@ -109,7 +109,7 @@ class MergeTask:
     source: MapSide
 
     def graph(self, crossing: tuple[TrackLoop, ...]) -> MapGraph:
-        """Both with the loops between them; the map that grows gives the frame."""
+        """Both with the loops between them; the map that grows gives the frame, and its anchors hold it."""
         first, second = self.target.task.graph, self.source.task.graph
         anchors = [*sorted(self.target.sessions), *sorted(self.source.sessions)]
         refused = (loops_between(one.task, one.refused) for one in (self.target, self.source))

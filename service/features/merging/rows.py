@@ -15,10 +15,11 @@ from revisit.service.domain.errors import AlreadyExists
 from revisit.service.domain.identity import validated_id
 from revisit.service.domain.policy import Policy
 from revisit.service.domain.records import LoopRecord, MapMergeRecord, MapRecord, SessionRecord
-from revisit.service.domain.states import LoopEventKind, LoopState, MergeVerdict, SessionState
+from revisit.service.domain.states import AnchorFrame, LoopEventKind, LoopState, MergeVerdict, SessionState
 from revisit.service.failpoints import failpoint
 from revisit.service.features.audit import calls as audit
 from revisit.service.features.audit.calls import AuditEntry
+from revisit.service.features.graph.posting import optimise_soon
 from revisit.service.features.graph.reading import MapTask, with_evidence
 from revisit.service.features.loops.claims import verdict_evidence
 from revisit.service.features.loops.rows import Change, add_loop
@@ -62,10 +63,18 @@ class MergeCommit:
             return False
         copies = self._copy(uow, current)
         failpoint("map_merge.after_rows")
+        current = uow.maps.get(current.tenant, current.map_id) or current  # anchors of the copies may give it an origin
         report = self._store(uow, current, copies)
         forget_versions(uow, current.tenant, current.map_id, current.map_version + 1 - self.policy.map_versions_kept)
         uow.queue.complete(self.lease, report)
+        if self._copied_anchors(uow, current, copies):
+            optimise_soon(uow, current.tenant, current.map_id, self.policy, self.now_ns, decided=True)
         return True
+
+    def _copied_anchors(self, uow: UnitOfWork, current: MapRecord, copies: _Copies) -> bool:
+        """Whether the version of the merge knows nothing yet of anchors that came with the copies."""
+        ids = (copy.session_id for copy in copies.sessions.values())
+        return any(uow.anchors.find(current.tenant, limit=1, map_id=current.map_id, session_id=one) for one in ids)
 
     def _unchanged(self, uow: UnitOfWork) -> MapRecord | None:
         """The map that grows, None where one of both has lost a part, got another version, or is gone."""
@@ -93,6 +102,7 @@ class MergeCommit:
         for number, session in sorted(self.proposal.task.source.sessions.items()):
             copies.sessions[number] = uow.sessions.add(self._session(uow, target, session))
             self._copy_scans(uow, session, copies.sessions[number])
+            self._copy_anchors(uow, target, session, copies.sessions[number])
         self._copy_submaps(uow, target, copies)
         for loop in with_evidence(uow, self.proposal.task.source.task.loops):
             copies.loops[loop.number] = self._copy_loop(uow, target, loop, copies)
@@ -121,6 +131,16 @@ class MergeCommit:
     def _copy_scans(self, uow: UnitOfWork, session: SessionRecord, copy: SessionRecord) -> None:
         for scan in uow.scans.find(session.tenant, map_id=session.map_id, session_id=session.session_id):
             uow.scans.add(replace(scan, map_id=copy.map_id, session_id=copy.session_id, number=0))
+
+    def _copy_anchors(self, uow: UnitOfWork, target: MapRecord, session: SessionRecord, copy: SessionRecord) -> None:
+        """Those on earth, which hold the next version; metres from another map's origin say nothing in this one."""
+        anchors = uow.anchors.find(session.tenant, map_id=session.map_id, session_id=session.session_id)
+        on_earth = [one for one in anchors if one.frame == AnchorFrame.WGS84]
+        for one in on_earth:
+            uow.anchors.add(replace(one, map_id=copy.map_id, session_id=copy.session_id, number=0))
+        current = uow.maps.get(target.tenant, target.map_id)
+        if on_earth and current is not None and current.origin is None:
+            uow.maps.replace(replace(current, origin=on_earth[0].position))
 
     def _copy_submaps(self, uow: UnitOfWork, target: MapRecord, copies: _Copies) -> None:
         for submap in self.proposal.task.source.submaps:
@@ -229,8 +249,13 @@ class MergeCommit:
             target, graph=graph, session_ids=target.session_ids + tuple(ids),
             loops=target.loops + tuple(copies.loops.values()),
         )  # fmt: skip
+        on_earth = tuple(
+            replace(one, session_number=_session(one.session_number, copies)) for one in optimised.on_earth
+        )
         refused = both.target.refused + tuple(_kept_apart(one, copies) for one in both.source.refused)
-        return task, replace(optimised, tracks=solved, loops=loops, faults=faults, refused_joins=refused)
+        return task, replace(
+            optimised, tracks=solved, loops=loops, faults=faults, refused_joins=refused, on_earth=on_earth
+        )
 
 
 def _number(loop: int, copies: _Copies) -> int:

@@ -17,6 +17,8 @@ from revisit.service.domain.policy import Policy
 from revisit.service.domain.records import LoopRecord, MapRecord, MapVersionRecord, SessionPosesRecord
 from revisit.service.domain.states import LoopEventKind
 from revisit.service.failpoints import failpoint
+from revisit.service.features.graph.anchor_verdicts import pack_anchors
+from revisit.service.features.graph.anchors import stored_frames
 from revisit.service.features.graph.map_frames import frame_name
 from revisit.service.features.graph.map_jobs import recall_loops
 from revisit.service.features.graph.odometry_faults import stored_faults
@@ -32,6 +34,7 @@ from revisit.service.ports.job_queue import Lease
 from revisit.service.ports.map_optimiser import (
     AUDITED,
     FAULTS,
+    GEOREFERENCES,
     REFUSED_JOINS,
     JudgedLoop,
     OptimisedMap,
@@ -79,7 +82,7 @@ class VersionCommit:
         version = add_version(uow, current, self.task, self.optimised, summary, operation_id, self.now_ns)
         forget_versions(uow, current.tenant, current.map_id, version - self.policy.map_versions_kept)
         recall_loops(uow, current.tenant, current.map_id, self.policy, self.now_ns)
-        details = {name: its for name, its in summary.items() if name not in (AUDITED, FAULTS)}
+        details = {name: its for name, its in summary.items() if name not in (AUDITED, FAULTS, GEOREFERENCES)}
         self._end(uow, {"version": f"maps/{current.map_id}/versions/{version}", **details})
 
     def _end(self, uow: UnitOfWork, result: dict[str, Any]) -> None:
@@ -108,6 +111,7 @@ def add_version(
             loops=packed,
             loops_hash=hash_of_loops(packed),
             created_at_ns=now_ns,
+            anchors=pack_anchors(optimised.anchors),
         )
     )
     failpoint("optimise.after_version")
@@ -199,6 +203,7 @@ def summary_of(task: MapTask, tracks: Sequence[OptimisedTrack], optimised: Optim
         "max_change_m": float(changes.max()) if len(changes) else None,
         **({FAULTS: stored_faults(task, optimised.faults)} if optimised.faults else {}),
         **({AUDITED: {str(one): count for one, count in optimised.audited.items()}} if optimised.audited else {}),
+        **({GEOREFERENCES: stored_frames(optimised.on_earth)} if optimised.on_earth else {}),
         **({REFUSED_JOINS: [_stored(task, one) for one in optimised.refused_joins]} if optimised.refused_joins else {}),
     }
 

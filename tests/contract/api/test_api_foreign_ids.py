@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 
 import grpc
 import httpx
@@ -13,6 +14,7 @@ from google.protobuf.message_factory import GetMessageClass
 from revisit import Client
 from revisit.api.calls import CALLS
 from revisit.formats import QUANTISED, encode_quantised
+from revisit.sdk.anchors import NewAnchor
 from revisit.sdk.retry import RetryPolicy
 from revisit.service.rest.app import create_app
 from tests.support.credentials import a_key, bearer
@@ -27,7 +29,10 @@ POSE = "0,0,0,0,0,0,1"
 AROUND = {"centre_m": "0,0,0", "within_m": 9}
 QUERY = {"submap_id": "new", "stamp_ns": 1, "T_odom_submap": POSE, "format": "ply", "timeout_s": 0, **AROUND}
 OF_SUBMAP = {"robot": "rover", "map": "town", "session": "monday", "submap": "a"}
-UNIVERSE = {**OF_SUBMAP, "version": "1", "webhook": "hook", "tile": "frame-1.0.0"}
+UNIVERSE = {**OF_SUBMAP, "version": "1", "webhook": "hook", "tile": "frame-1.0.0", "anchor": "door"}
+
+
+DOOR = NewAnchor("door", "CONTROL_POINT", 1, np.eye(3), local_m=(0.0, 0.0, 0.0), T_odom_sensor=np.eye(4))
 
 
 def rest_calls():
@@ -72,6 +77,7 @@ def fill(client):
     for number, name in enumerate("ab"):
         operation = client.post_submap(session, name, cloud_points(1), np.eye(4), number + 1)
         client.wait(operation)
+    client.sessions.post_anchors(session, [DOOR])
     client.wait(client.optimise_map("maps/town"))
     annex = client.create_session(client.create_map("annex", leave_distance_m=0), "tuesday")
     for number, name in enumerate("cd"):
@@ -90,6 +96,17 @@ SUBMAP, LOOP = SESSION + "/submaps/{submap}", MAP + "/loopClosures/{loop}"
 NOTE = {"note": "mine"}
 BODIES = {
     "/sessions": {"session_id": "new"},
+    "/anchors": {
+        "anchors": [
+            {
+                "anchor_id": "new",
+                "kind": "CONTROL_POINT",
+                "local_m": "0,0,0",
+                "T_odom_sensor": POSE,
+                "covariance_enu": np.eye(3).ravel().tolist(),
+            }
+        ]
+    },
     **dict.fromkeys(("}:accept", "}:reject", "loop_id}:revert"), NOTE),
     ":distances": {"points_m": [0.0, 0.0, 0.0]},
     ":publish": {},
@@ -146,6 +163,7 @@ NAMES = {
     "Session": {"name": SESSION, "parent": MAP, "session_id": "new"},
     "Submap": {"name": SUBMAP, "parent": SESSION, "submap_id": "new"},
     "LoopClosure": {"name": LOOP, "parent": MAP},
+    "Anchor": {"name": SESSION + "/anchors/{anchor}", "parent": SESSION},
     "Operation": {"name": "operations/{operation}"},
     "Mapping": {"name": MAP, "parent": MAP},
     "Event": {"parent": MAP},
@@ -166,6 +184,7 @@ OWN = {
     "ListMapFiles": {"parent": MAP},
     "ListLoopClosureEvents": {"parent": LOOP},
     "CreateLoopClosure": {"query": SESSION + "/submaps/b", "match": SESSION + "/submaps/a"},
+    "PostAnchors": {"anchors": [replace(DOOR, anchor_id="new").message()]},
     "MergeMap": {"source": "maps/annex"},
     "RevertMap": {"version": 1},
     "StreamScans": {"open": {"session": SESSION}},

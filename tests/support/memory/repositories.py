@@ -229,7 +229,9 @@ class MemorySubmaps(MemoryRepository[SubmapRecord]):
         """See `SubmapRepository`."""
         later = [one for one in self.find(tenant, map_id=map_id) if one.seq > after]
         of_map = sorted(later, key=lambda one: (one.session_number, one.ordinal))
-        return [PlacedSubmap(one.number, one.session_number, one.ordinal, one.T_odom_submap) for one in of_map]
+        return [
+            PlacedSubmap(one.number, one.session_number, one.ordinal, one.T_odom_submap, one.stamp_ns) for one in of_map
+        ]
 
     def found(self, tenant: TenantId, numbers: Sequence[int]) -> dict[int, FoundSubmap]:
         """See `SubmapRepository`."""

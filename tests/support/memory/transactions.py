@@ -10,6 +10,7 @@ from typing import Any, TypeVar
 
 from revisit.service.domain.events import ChangeOf, on_job_change, on_loop_change, on_version_change
 from revisit.service.domain.records import (
+    AnchorRecord,
     DeletionRecord,
     EarlyCorrectionRecord,
     LoopEventRecord,
@@ -52,7 +53,7 @@ T = TypeVar("T")
 _TABLES = (
     *("maps", "robots", "sessions", "scans", "submaps", "loops"),
     *("loop_events", "map_versions", "session_poses", "early_corrections", "map_merges", "map_tiles", "map_files"),
-    "deletions",
+    *("anchors", "deletions"),
     "unreferenced_blobs",
     *("jobs", "turns", "changes", "events", "webhooks", "webhook_deliveries", "workers", "keys", "audit"),
     "processes",
@@ -83,6 +84,7 @@ class MemoryUnitOfWork:
         listener = on_version_change(self.events)
         self.map_versions: MemoryRepository[MapVersionRecord] = of_map("map_versions", "version", listener=listener)
         self.session_poses: MemoryRepository[SessionPosesRecord] = of_map("session_poses", "version", "session_id")
+        self.anchors: MemoryRepository[AnchorRecord] = of_map("anchors", "session_id", "anchor_id")
         self.early_corrections: MemoryRepository[EarlyCorrectionRecord] = of_map("early_corrections", "session_id")
         self.map_merges: MemoryRepository[MapMergeRecord] = of_map("map_merges", "merge_id")
         self.map_tiles: MemoryRepository[MapTileRecord] = of_map("map_tiles", "version", "tile_id")

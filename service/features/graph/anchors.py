@@ -1,0 +1,76 @@
+"""Anchors of a map, as its pose graph has them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from revisit.core.geometry import geodesy, se3
+from revisit.core.geometry.se3 import pose_matrix, pose_row
+from revisit.core.pose_graph.anchors import Heading
+from revisit.service.domain.records import AnchorRecord, MapRecord
+from revisit.service.domain.states import AnchorFrame
+from revisit.service.features.graph.map_frames import frame_name
+from revisit.service.ports.map_optimiser import FrameOnEarth, TrackAnchor
+from revisit.service.ports.repositories import PlacedSubmap
+from revisit.service.ports.transactions import UnitOfWork
+
+Array64 = NDArray[np.float64]
+
+
+def read_anchors(uow: UnitOfWork, record: MapRecord, placed: Iterable[PlacedSubmap]) -> tuple[TrackAnchor, ...]:
+    """The anchors of a map whose sessions have submaps: each on the submap nearest in time."""
+    rows = uow.anchors.find(record.tenant, map_id=record.map_id)
+    if not rows:
+        return ()
+    numbers = {one.session_id: one.number for one in uow.sessions.find(record.tenant, map_id=record.map_id)}
+    drives: dict[int, list[PlacedSubmap]] = {}
+    for one in placed:
+        drives.setdefault(one.session_number, []).append(one)
+    places = world_places(rows, record.origin)
+    return tuple(
+        track_anchor(row, place, _nearest(drives[numbers[row.session_id]], row.stamp_ns))
+        for row, place in zip(rows, places, strict=True)
+        if numbers.get(row.session_id) in drives
+    )
+
+
+def _nearest(drive: Sequence[PlacedSubmap], stamp_ns: int) -> PlacedSubmap:
+    return min(drive, key=lambda one: abs(one.stamp_ns - stamp_ns))
+
+
+def world_places(rows: Sequence[AnchorRecord], origin: tuple[float, float, float] | None) -> Array64:
+    """The places (n, 3) of anchors in metres east, north and up from the origin of their map."""
+    places = np.reshape([row.position for row in rows], (-1, 3)).astype(np.float64)
+    on_earth = np.array([row.frame == AnchorFrame.WGS84 for row in rows], dtype=bool)
+    if origin is not None and on_earth.any():
+        places[on_earth] = geodesy.enu(origin, places[on_earth])
+    return places
+
+
+def track_anchor(row: AnchorRecord, place: Array64, submap: PlacedSubmap) -> TrackAnchor:
+    """An anchor as a pose graph has it, on a submap of its session."""
+    T_submap_sensor = se3.inverse(pose_matrix(submap.T_odom_submap)) @ pose_matrix(row.T_odom_sensor)
+    heading = None
+    if row.heading_rad is not None and row.heading_sigma_rad is not None:
+        heading = Heading(T_submap_sensor[:3, 0], row.heading_rad, row.heading_sigma_rad)
+    point = se3.apply(T_submap_sensor, np.array([row.offset_m]))[0]
+    return TrackAnchor(row.number, submap.number, point, place, np.reshape(row.covariance, (3, 3)), heading)
+
+
+def stored_frames(frames: Iterable[FrameOnEarth]) -> list[dict[str, Any]]:
+    """Frames on earth in the form of a version's summary."""
+    return [
+        {
+            "frame": frame_name(one.session_number),
+            "T_enu_map": list(pose_row(one.found.T_world_map)),
+            "covariance": one.found.covariance.ravel().tolist() if np.isfinite(one.found.covariance).all() else [],
+            "anchors": one.found.anchors,
+            "of_anchors": one.found.of_anchors,
+            "residual_m": one.found.residual_m,
+        }
+        for one in frames
+    ]

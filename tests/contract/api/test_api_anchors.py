@@ -1,0 +1,84 @@
+"""Anchors of sessions, the same over REST and gRPC."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from revisit.sdk.anchors import NewAnchor
+from revisit.sdk.errors import AlreadyExists, InvalidArgument, NotFound
+
+FIX = NewAnchor(
+    "fix-1", "GNSS", 1_000, np.array([1.0, 1.0, 2.0]), geodetic=(48.0, 11.0, 500.0), offset_m=(0.1, 0.0, 1.5),
+    T_odom_sensor=np.eye(4),
+)  # fmt: skip
+POINT = NewAnchor("door", "CONTROL_POINT", 2_000, 0.01 * np.eye(3), local_m=(1.0, 2.0, 3.0), T_odom_sensor=np.eye(4))
+START = replace(POINT, anchor_id="start", kind="KNOWN_POSE", heading_rad=0.5, heading_sigma_rad=0.01)
+
+
+def test_anchors_are_stored_in_their_order_and_the_first_on_earth_gives_the_origin(client, session, town):
+    assert client.get_map(town).origin is None
+    posted = client.sessions.post_anchors(session, [POINT, FIX, START])
+    assert [one.name for one in posted] == [f"{session.name}/anchors/{name}" for name in ("door", "fix-1", "start")]
+    listed = client.sessions.anchors(session)
+    assert listed == posted
+    door, fix, start = listed
+    assert (door.kind, door.local_m, door.geodetic, door.state, door.residual_m) == (
+        "CONTROL_POINT", (1.0, 2.0, 3.0), None, None, None,
+    )  # fmt: skip
+    assert fix.geodetic is not None and fix.geodetic.latitude_deg == 48.0 and fix.offset_m == (0.1, 0.0, 1.5)
+    assert np.diag(np.reshape(fix.covariance_enu, (3, 3))).tolist() == [1.0, 1.0, 4.0]
+    assert (start.heading_rad, start.heading_sigma_rad) == (0.5, 0.01)
+    origin = client.get_map(town).origin
+    assert (origin.latitude_deg, origin.longitude_deg, origin.altitude_m) == (48.0, 11.0, 500.0)
+
+
+def test_the_same_anchor_again_is_passed_over_and_another_of_its_id_is_refused(client, session):
+    first = client.sessions.post_anchors(session, [FIX])
+    assert client.sessions.post_anchors(session, [FIX, POINT])[0] == first[0]
+    with pytest.raises(AlreadyExists):
+        client.sessions.post_anchors(session, [START, replace(FIX, stamp_ns=5)])
+    assert len(client.sessions.anchors(session)) == 2
+
+
+def test_a_deleted_anchor_is_gone(client, session):
+    (posted,) = client.sessions.post_anchors(session, [FIX])
+    client.sessions.delete_anchor(posted)
+    assert client.sessions.anchors(session) == []
+    with pytest.raises(NotFound):
+        client.sessions.delete_anchor(posted)
+
+
+@pytest.mark.parametrize(
+    ("change", "field"),
+    [
+        ({"geodetic": (91.0, 0.0, 0.0)}, "latitude_deg"),
+        ({"geodetic": (0.0, 181.0, 0.0)}, "longitude_deg"),
+        ({"geodetic": (0.0, 0.0, 1e6)}, "altitude_m"),
+        ({"local_m": (0.0, 0.0, 0.0)}, "geodetic"),
+        ({"geodetic": None}, "geodetic"),
+        ({"covariance_enu": np.zeros((3, 3))}, "covariance_enu"),
+        ({"covariance_enu": np.eye(2)}, "covariance_enu"),
+        ({"covariance_enu": np.diag([1.0, 1.0, 1e9])}, "covariance_enu"),
+        ({"offset_m": (0.0, 2000.0, 0.0)}, "offset_m"),
+        ({"heading_rad": 1.0, "heading_sigma_rad": 0.1}, "heading_rad"),
+        ({"kind": "KNOWN_POSE"}, "heading_rad"),
+        ({"T_odom_sensor": None}, "t_odom_sensor"),
+        ({"anchor_id": "a b"}, "anchor_id"),
+        ({"stamp_ns": -1}, "stamp_ns"),
+    ],
+)
+def test_an_anchor_out_of_bounds_is_refused(client, session, change, field):
+    with pytest.raises(InvalidArgument) as refused:
+        client.sessions.post_anchors(session, [replace(FIX, **change)])
+    assert (refused.value.field or "").endswith(field)
+    assert client.sessions.anchors(session) == []
+
+
+def test_a_session_that_is_not_there_has_no_anchors(client, town):
+    with pytest.raises(NotFound):
+        client.sessions.anchors(f"{town}/sessions/sunday")
+    with pytest.raises(NotFound):
+        client.sessions.post_anchors(f"{town}/sessions/sunday", [FIX])

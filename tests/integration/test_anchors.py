@@ -1,0 +1,163 @@
+"""A fleet with fixes of satellites in the service: on earth in one version, undone to the byte. Simulated."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from revisit.core.geometry import geodesy, se3
+from revisit.core.geometry.se3 import pose_matrix
+from revisit.service.domain.identity import SessionKey
+from revisit.service.domain.states import AnchorFrame, AnchorKind
+from revisit.service.features.anchors.rules import DrivePoses, NewAnchor
+from revisit.service.features.graph.anchor_verdicts import anchor_verdicts, frames_on_earth
+from revisit.service.features.graph.session_poses import PackedSubmaps
+from revisit.service.features.resources.paging import PageRequest
+from tests.support.fleet_in_service import fleet_in
+from tests.support.made_up_anchors import MAST, fixes
+from tests.support.service_world import TENANT, memory_world, sqlite_world
+
+ORIGIN = (48.1, 11.5, 520.0)
+SIGMA_M = 1.5
+
+
+@pytest.fixture(params=["memory", "sqlite"])
+async def world(request, tmp_path):
+    made = memory_world() if request.param == "memory" else sqlite_world(tmp_path)
+    yield made
+    if request.param == "sqlite":
+        made.context.transactions.close()
+
+
+def new_anchors(made, session: str) -> list[NewAnchor]:
+    """The fixes of a session as a client has them: one in five reflected, positions on earth."""
+    found = []
+    for one in fixes(made, int(session[1:]), SIGMA_M, 0.2, sessions=(session,)):
+        T_odom_submap = made.graph.by_session[session].T_odom_submap[one.node.ordinal]
+        earth = tuple(geodesy.geodetic_of_enu(ORIGIN, one.place_world[None])[0].tolist())
+        found.append(
+            NewAnchor(
+                one.name, AnchorKind.GNSS, AnchorFrame.WGS84, 1_000 * one.node.ordinal, earth,
+                tuple(one.covariance.ravel().tolist()), tuple(MAST.tolist()), T_odom_submap,
+            )
+        )  # fmt: skip
+    return found
+
+
+async def posted(world, made) -> None:
+    for session in made.truth:
+        await world.use_cases.anchors.post(TENANT, SessionKey("town", session), new_anchors(made, session))
+
+
+async def optimised(world):
+    await world.use_cases.map_versions.optimise(TENANT, "town")
+    world.work_off()
+    page = await world.use_cases.map_versions.list(TENANT, "town", PageRequest(100))
+    return page.items[-1]
+
+
+async def listed(world, made):
+    pages = [
+        await world.use_cases.anchors.list(TENANT, SessionKey("town", one), PageRequest(500)) for one in made.truth
+    ]
+    return list(itertools.chain.from_iterable(page.items for page in pages))
+
+
+def rows(world, name, **equals):
+    return world.context.transactions.read(
+        lambda uow: getattr(uow, name).find(TENANT, map_id="town", **equals)
+    ).result()
+
+
+def error_m(world, made, version) -> float:
+    """Root mean square of the position errors on earth of a version."""
+    row = rows(world, "map_versions", version=version.version)[0]
+    ((frame, T_enu_map),) = frames_on_earth(row.summary).items()
+    (origin,) = {one.origin for one in rows(world, "maps")}
+    errors = []
+    for poses in rows(world, "session_poses", version=version.version):
+        assert poses.frame == frame
+        found = se3.apply(T_enu_map, PackedSubmaps.of(poses.submaps).T_map_submap[:, :3, 3])
+        true = geodesy.enu(origin, geodesy.geodetic_of_enu(ORIGIN, made.truth[poses.session_id][:, :3, 3]))
+        errors.append(((found - true) ** 2).sum(axis=1))
+    return float(np.sqrt(np.concatenate(errors).mean()))
+
+
+async def test_a_version_lies_on_earth_and_its_reflected_fixes_are_set_aside(world):
+    made = fleet_in(world, "town", 0.2, sessions=3, submaps=50).fleet
+    with_stamps(world)
+    before = await optimised(world)
+    await posted(world, made)
+    assert {one.state for one in await listed(world, made)} == {None}
+    after = await optimised(world)
+    found = await listed(world, made)
+    states = {(one.record.anchor_id.partition("-")[0], one.state.value, one.reason) for one in found}
+    assert states == {("right", "IN_MAP", None), ("wrong", "SET_ASIDE", "DISAGREES")}
+    assert all(np.linalg.norm(one.residual_m) > 15.0 for one in found if one.state == "SET_ASIDE")
+    assert error_m(world, made, after) < 0.8
+    (georeference,) = after.summary["georeferences"]
+    assert (georeference["anchors"], georeference["of_anchors"]) == (120, 150)
+    assert "georeferences" not in before.summary
+
+
+async def test_maps_without_anchors_have_the_same_versions_bit_for_bit(world):
+    made = fleet_in(world, "town", 0.2, sessions=2, submaps=30).fleet
+    with_stamps(world)
+    before = await optimised(world)
+    await posted(world, made)
+    on_earth = await optimised(world)
+    assert on_earth.content_hash != before.content_hash
+    for one in await listed(world, made):
+        await world.use_cases.anchors.delete(TENANT, "town", one.record.session_id, one.record.anchor_id)
+    without = await optimised(world)
+    assert without.content_hash == before.content_hash
+
+
+async def test_a_version_on_earth_comes_back_to_the_byte(world):
+    made = fleet_in(world, "town", 0.2, sessions=2, submaps=30).fleet
+    with_stamps(world)
+    before = await optimised(world)
+    await posted(world, made)
+    on_earth, states = await optimised(world), await listed(world, made)
+    back = await world.use_cases.map_versions.revert(TENANT, "town", before.version)
+    assert back.content_hash == before.content_hash
+    assert {one.state for one in await listed(world, made)} == {None}
+    again = await world.use_cases.map_versions.revert(TENANT, "town", on_earth.version)
+    assert again.content_hash == on_earth.content_hash and again.summary == on_earth.summary
+    kept = rows(world, "map_versions")
+    assert kept[-1].anchors == kept[1].anchors
+    assert [(one.state, one.reason) for one in await listed(world, made)] == [(one.state, one.reason) for one in states]
+
+
+async def test_a_deleted_session_leaves_no_verdict_on_its_anchors(world):
+    made = fleet_in(world, "town", 0.0, sessions=2, submaps=30).fleet
+    with_stamps(world)
+    await posted(world, made)
+    await optimised(world)
+    await world.use_cases.sessions.delete(TENANT, SessionKey("town", "s1"))
+    left = {one.number for one in rows(world, "anchors")}
+    assert len(left) == 30
+    (version,) = rows(world, "map_versions")
+    assert anchor_verdicts(version.anchors).keys() == left
+    await world.use_cases.maps.delete(TENANT, "town")
+    assert world.context.transactions.read(lambda uow: uow.everything.anchors.count(TENANT)).result() == 0
+
+
+def with_stamps(world) -> None:
+    """Each submap of the fleet has a time of its own."""
+
+    def stamp(uow) -> None:
+        for one in uow.submaps.find(TENANT, map_id="town"):
+            uow.submaps.replace(replace(one, stamp_ns=1_000 * one.ordinal))
+
+    world.context.transactions.write(stamp).result()
+
+
+async def test_a_fix_lies_on_the_drive_between_the_scans_around_it():
+    drive = DrivePoses([10, 20], [tuple(np.eye(4).ravel()), tuple(se3.from_yaw(0.4, (2.0, 0.0, 0.0)).ravel())])
+    assert np.allclose(drive.at(10), np.eye(4)) and np.allclose(drive.at(20), pose_matrix(drive.T_odom[1]))
+    assert se3.yaw(drive.at(15)) == pytest.approx(0.2)
+    assert drive.at(9) is None and drive.at(21) is None
