@@ -12,11 +12,14 @@ from revisit.evaluation.datasets.bag_message import Bag, Encoding, Message, Plac
 from revisit.evaluation.datasets.posed_clouds import Stamps
 from revisit.evaluation.datasets.ros_messages import (
     CLOUD_TYPES,
+    FIX_TYPES,
     PATH_TYPES,
     POSE_TYPES,
     TRANSFORM_TYPES,
     Header,
+    SatelliteFix,
     StampedTransform,
+    read_fix,
     read_header,
     read_path,
     read_pose,
@@ -24,7 +27,7 @@ from revisit.evaluation.datasets.ros_messages import (
 )
 from revisit.evaluation.datasets.transform_groups import TransformGroups
 
-WANTED_TYPES = (*CLOUD_TYPES, *POSE_TYPES, *PATH_TYPES, *TRANSFORM_TYPES)
+WANTED_TYPES = (*CLOUD_TYPES, *POSE_TYPES, *PATH_TYPES, *TRANSFORM_TYPES, *FIX_TYPES)
 
 
 @dataclass
@@ -102,6 +105,8 @@ class BagTopics:
     cut: str = ""
     unreadable: int = 0
     damaged: int = 0
+    fixes: dict[str, list[SatelliteFix]] = field(default_factory=dict)
+    """Fixes of satellites, by topic."""
 
 
 @dataclass
@@ -112,6 +117,7 @@ class _Pass:
     poses: dict[str, PoseTopic] = field(default_factory=dict)
     transforms: TransformGroups = field(default_factory=TransformGroups)
     paths: dict[str, Message] = field(default_factory=dict)
+    fixes: dict[str, list[SatelliteFix]] = field(default_factory=dict)
     broken: int = 0
     unreadable: list[str] = field(default_factory=list)
 
@@ -133,6 +139,8 @@ class _Pass:
             self.poses.setdefault(message.topic, PoseTopic(message.topic)).poses.append(pose)
         elif message.message_type in PATH_TYPES:
             self.paths[message.topic] = message  # each holds those before it, the last one all
+        elif message.message_type in FIX_TYPES:
+            self.fixes.setdefault(message.topic, []).append(read_fix(message.data, message.encoding))
         elif message.message_type in TRANSFORM_TYPES:
             self.transforms.take(message.topic, read_transforms(message.data, message.encoding))
 
@@ -175,5 +183,5 @@ def read_topics(bag: Bag) -> BagTopics:
         raise MalformedBody(f"{len(lost)} messages cannot be read, the first of {lost[0]}")
     return BagTopics(
         gathered.clouds, gathered.poses, gathered.transforms, dict(bag.topics), gathered.broken, bag.cut, len(lost),
-        bag.damaged,
+        bag.damaged, gathered.fixes,
     )  # fmt: skip

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -21,7 +21,7 @@ from revisit.evaluation.datasets.lidar_odometry import KISS_ICP, Report, odometr
 from revisit.evaluation.datasets.pairing import Fixed, Pairing, Relation
 from revisit.evaluation.datasets.placed_clouds import BagCloud, merged, placed
 from revisit.evaluation.datasets.posed_clouds import StampedPoses, Stamps
-from revisit.evaluation.datasets.ros_messages import read_points
+from revisit.evaluation.datasets.ros_messages import SatelliteFix, read_points
 from revisit.evaluation.datasets.topic_choice import (
     WantedTopics,
     choose,
@@ -36,7 +36,8 @@ class BagRecording:
     """The clouds of one topic, or of several LiDARs together, with interpolated poses.
 
     A scan's points are read from the bag when asked for: `clouds` are those that each scan consists of.
-    `notes` are sentences about the choice of topics; `findings` rest on the order of the bag's messages.
+    `notes` are sentences about the choice of topics; `findings` rest on the order of the bag's messages. `fixes` of
+    satellites are by topic.
     """
 
     name: str
@@ -46,6 +47,7 @@ class BagRecording:
     stamps_ns: Stamps
     notes: tuple[str, ...]
     findings: tuple[Finding, ...] = ()
+    fixes: Mapping[str, Sequence[SatelliteFix]] = field(default_factory=dict)
 
     def __len__(self) -> int:
         return len(self.clouds)
@@ -88,6 +90,7 @@ def open_bag(path: Path, wanted: WantedTopics = WantedTopics(), report: Report |
         files[0].stem if len(files) == 1 else path.resolve().name,
         bag, together.scans.clouds, scans.T_world_sensor, scans.stamps_ns, (*said, *told),
         tuple(check_clocks([pair for topic in (pairs, *others) for pair in topic], found)),
+        found.fixes,
     )  # fmt: skip
 
 

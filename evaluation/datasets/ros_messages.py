@@ -24,6 +24,7 @@ ODOMETRY = "nav_msgs/msg/Odometry"
 TRACKED = "geometry_msgs/msg/TransformStamped"
 POSE_TYPES = (ODOMETRY, TRACKED, "geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/PoseWithCovarianceStamped")
 PATH_TYPES = ("nav_msgs/msg/Path",)
+FIX_TYPES = ("sensor_msgs/msg/NavSatFix",)
 TRANSFORM_TYPES = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 MAX_FIELDS = 64
 COORDINATES = ("x", "y", "z")
@@ -52,6 +53,21 @@ class StampedTransform:
     parent: str
     child: str
     T_parent_child: se3.Matrix4
+
+
+@dataclass(frozen=True)
+class SatelliteFix:
+    """A sensor_msgs/NavSatFix: latitude and longitude, degrees, and altitude above the ellipsoid, metres (WGS 84).
+
+    covariance (3, 3) of east, north and up, m^2, None where the receiver does not tell it. `status`: -1 is no fix, 0 a
+    fix, 1 with corrections of satellites, 2 with those of stations on the ground.
+    """
+
+    stamp_ns: int
+    frame: str
+    status: int
+    position: tuple[float, float, float]
+    covariance: NDArray[np.float64] | None
 
 
 class _Fields:
@@ -207,6 +223,19 @@ def read_pose(message: bytes, message_type: str, encoding: Encoding = "cdr") -> 
     header = fields.header()
     child = fields.frame() if message_type in (ODOMETRY, TRACKED) else ""
     return StampedTransform(header.stamp_ns, header.frame, child, fields.quaternion_pose())
+
+
+def read_fix(message: bytes, encoding: Encoding = "cdr") -> SatelliteFix:
+    """The fix in a NavSatFix. Raises MalformedBody."""
+    fields = _Fields(message, encoding)
+    header, status = fields.header(), int(fields.number("b"))
+    fields.number("H")  # which systems of satellites
+    latitude, longitude, altitude = (float(value) for value in fields.numbers("d", 3))
+    covariance = np.reshape(fields.numbers("d", 9), (3, 3)).astype(np.float64)
+    known = int(fields.number("B")) > 0
+    return SatelliteFix(
+        header.stamp_ns, header.frame, status, (latitude, longitude, altitude), covariance if known else None
+    )
 
 
 def read_path(message: bytes, encoding: Encoding = "cdr") -> list[StampedTransform]:

@@ -15,14 +15,31 @@ from revisit.cli.output import emit_json, progress_bar, refuse, reporter, say
 from revisit.cli.recordings import Poses, opened
 
 if TYPE_CHECKING:
+    from revisit.cli.earth import OnEarth
     from revisit.cli.map_files import PlacedSubmap
     from revisit.cli.pose_graph_files import Graph
     from revisit.evaluation.datasets import Recording
 
 TEXTS = ("g2o", "tum", "csv")
-FILES = ("scans", "kitti", "ply", "pcd", "laz", "mesh", "glb", "grid", "mcap", "reference", "autoware", "3dtiles")
+FILES = (
+    "scans",
+    "kitti",
+    "ply",
+    "pcd",
+    "laz",
+    "mesh",
+    "glb",
+    "grid",
+    "mcap",
+    "reference",
+    "autoware",
+    "3dtiles",
+    "geojson",
+)
 
 Report = Callable[[str, int, int], None]
+Writer = Callable[[Path, str, "list[PlacedSubmap]", Report], dict[str, int]]
+"""Writes a map to a path; counts for the summary."""
 
 
 def export(
@@ -32,7 +49,7 @@ def export(
         typer.Option(
             "--format",
             help="g2o, tum, csv, scans, kitti, ply, pcd, laz (cloud), mesh (ply), glb (mesh), grid, mcap, reference, "
-            "autoware, 3dtiles (the last two write folders).",
+            "geojson (drives), autoware, 3dtiles (the last two write folders).",
         ),
     ] = "g2o",
     session_id: Annotated[str, typer.Option("--session", help="Only this session; tum and scans need one.")] = "",
@@ -41,6 +58,9 @@ def export(
         Path | None, typer.Option(exists=True, help="scans: the recording that the session was ingested from.")
     ] = None,
     poses: Poses = None,
+    frame: Annotated[
+        str, typer.Option(help="map, or enu: metres east, north and up from the origin of a map on earth.")
+    ] = "map",
     epsg: Annotated[int, typer.Option(min=0, help="laz: number of the reference system that the map is in.")] = 0,
     http: Http = HTTP,
     json: Json = False,
@@ -48,17 +68,20 @@ def export(
     """Write a map: pose graph (g2o), loops (csv), a session's odometry (tum), every scan of its recording in the map
     (scans, as tum), poses of submaps in the map (kitti), one cloud (ply, pcd, laz), one mesh (mesh, glb), an occupancy
     grid (grid), poses and cloud for Foxglove (mcap), pairs of points for fleet adapters (reference), a folder with the
-    cloud in squares as Autoware loads it (autoware), or one with the tiles of the surface for web viewers (3dtiles).
-    Poses are those of the version in force, or else optimised here.
+    cloud in squares as Autoware loads it (autoware), one with the tiles of the surface for web viewers (3dtiles), or
+    the drives on earth (geojson). Poses are those of the version in force, or else optimised here. A map that anchors
+    hold lies on earth in autoware, 3dtiles and geojson, and with --frame enu.
     """
     _require_fitting(file_format, session_id, recording, out)
+    if frame not in ("map", "enu"):
+        raise refuse("--frame is map or enu")
     try:
         if file_format == "scans" and recording is not None and out is not None:
             summary = _write_scans(out, http, (map_id, session_id), opened(recording, "auto", None, None, None, poses))
         elif out is None or file_format in TEXTS:
             summary = _write_text(file_format, out, http, map_id, session_id)
         else:
-            summary = _write_file(file_format, out, http, (map_id, session_id), epsg)
+            summary = _write_file(file_format, out, http, (map_id, session_id), epsg, frame)
     except ModuleNotFoundError as error:
         raise refuse(what_is_missing("service", error)) from error
     if json and out is not None:
@@ -94,8 +117,11 @@ def _write_text(file_format: str, out: Path | None, http: str, map_id: str, sess
     return {"file": str(out), "submaps": sum(map(len, graph.tracks)), "loops": len(graph.loops)}
 
 
-def _write_file(file_format: str, out: Path, http: str, chosen: tuple[str, str], epsg: int) -> dict[str, Any]:
+def _write_file(
+    file_format: str, out: Path, http: str, chosen: tuple[str, str], epsg: int, frame: str
+) -> dict[str, Any]:
     """Poses, a cloud, a mesh or a grid, with a bar; a summary."""
+    from revisit.cli.earth import frame_on_earth
     from revisit.cli.map_files import placed_submaps
 
     if file_format == "3dtiles":
@@ -103,9 +129,20 @@ def _write_file(file_format: str, out: Path, http: str, chosen: tuple[str, str],
     placed = placed_submaps(http, *chosen)
     if not placed:
         raise refuse(f"map {chosen[0]} holds no submaps")
+    on_earth = frame == "enu" or file_format in ("autoware", "geojson")
+    earth = frame_on_earth(http, chosen[0], placed[0].frame) if on_earth else None
+    if earth is None and (frame == "enu" or file_format == "geojson"):
+        raise refuse(f"map {chosen[0]} does not lie on earth: no anchors hold its version in force")
+    if earth is not None and file_format != "geojson":
+        placed = earth.placed(placed)
     out.parent.mkdir(parents=True, exist_ok=True)
     with progress_bar(quiet=False) as bar:
-        write = partial(_write_cloud, kind="laz", epsg=epsg) if file_format == "laz" else _WRITERS[file_format]
+        more: dict[str, Writer] = {
+            "laz": partial(_write_cloud, kind="laz", epsg=epsg),
+            "autoware": partial(_write_autoware, earth=earth),
+            "geojson": partial(_write_geojson, earth=earth),
+        }
+        write = (_WRITERS | more)[file_format]
         counts = write(out, http, placed, reporter(bar))
     return {"file": str(out), "submaps": len(placed), **counts}
 
@@ -192,8 +229,21 @@ def _write_reference(out: Path, http: str, placed: list[PlacedSubmap], _report: 
     return {"sessions": len(found)}
 
 
-def _write_autoware(out: Path, http: str, placed: list[PlacedSubmap], report: Report) -> dict[str, int]:
-    """A folder of squares as PCD, their places, and the projector of a map that is not placed on earth."""
+def _write_geojson(
+    out: Path, _http: str, placed: list[PlacedSubmap], _report: Report, earth: OnEarth | None
+) -> dict[str, int]:
+    """The drives of a map on earth; one that is not there is refused before."""
+    from revisit.cli.earth import as_geojson
+
+    if earth is not None:
+        out.write_text(as_geojson(placed, earth))
+    return {}
+
+
+def _write_autoware(
+    out: Path, http: str, placed: list[PlacedSubmap], report: Report, earth: OnEarth | None
+) -> dict[str, int]:
+    """A folder of squares as PCD, their places, and the projector of a map on earth, or of one that is not."""
     from revisit.cli.map_files import merged_cloud
     from revisit.formats import autoware, pcd
 
@@ -204,12 +254,14 @@ def _write_autoware(out: Path, http: str, placed: list[PlacedSubmap], report: Re
         (out / autoware.CLOUDS / autoware.file_of(corner)).write_bytes(pcd.encode(part))
         corners.append(corner)
     (out / autoware.METADATA).write_text(autoware.metadata_of(corners))
-    (out / autoware.PROJECTOR).write_text(autoware.LOCAL_PROJECTOR)
+    projector = autoware.LOCAL_PROJECTOR if earth is None else autoware.projector_of(earth.origin)
+    (out / autoware.PROJECTOR).write_text(projector)
     return {"points": len(points), "squares": len(corners)}
 
 
 def _write_tileset(out: Path, http: str, map_id: str, session_id: str) -> dict[str, Any]:
     """A folder with the tiles of the version in force as GLB, and the file that lists them; a summary."""
+    from revisit.cli.earth import frame_on_earth
     from revisit.formats.glb import bounds_of_scene
     from revisit.formats.tileset import NAME, TileFile, tileset
     from revisit.sdk.client import Client
@@ -231,11 +283,12 @@ def _write_tileset(out: Path, http: str, map_id: str, session_id: str) -> dict[s
             report("tiles", number, len(tiles))
     if not written:
         raise refuse(f"map {map_id} has no version with a surface yet")
-    (out / NAME).write_text(tileset(written))
+    earth = frame_on_earth(http, map_id, largest)
+    (out / NAME).write_text(tileset(written, None if earth is None else earth.T_ecef_map))
     return {"file": str(out / NAME), "tiles": len(written)}
 
 
-_WRITERS: dict[str, Callable[[Path, str, list[PlacedSubmap], Report], dict[str, int]]] = {
+_WRITERS: dict[str, Writer] = {
     "kitti": _write_kitti,
     "ply": partial(_write_cloud, kind="ply"),
     "pcd": partial(_write_cloud, kind="pcd"),
@@ -244,5 +297,4 @@ _WRITERS: dict[str, Callable[[Path, str, list[PlacedSubmap], Report], dict[str, 
     "grid": _write_grid,
     "mcap": _write_mcap,
     "reference": _write_reference,
-    "autoware": _write_autoware,
 }

@@ -23,6 +23,7 @@ from revisit.sdk.errors import NotFound
 
 if TYPE_CHECKING:
     from revisit.evaluation.datasets import Recording
+    from revisit.sdk.anchors import NewAnchor
     from revisit.sdk.client import Client, ScanStream
     from revisit.sdk.resources import Session, Submap
     from revisit.sdk.spooled_stream import SpooledStream
@@ -46,7 +47,7 @@ REFUSED_TOLD = 5
 class Target:
     """Where scans go. A new map gets `scene_scale` and `profile`, one that exists must have them; None takes any.
 
-    So does a new session its `storey` and its `drift`.
+    So does a new session its `storey`.
     """
 
     grpc: str
@@ -55,7 +56,6 @@ class Target:
     scene_scale: float | None = None
     profile: str | None = None
     storey: str | None = None
-    drift: str | None = None
 
 
 @dataclass(frozen=True)
@@ -70,6 +70,7 @@ class Ingested:
     described: int
     failed: int
     loop_closures: int
+    anchors: int
     seconds: float
     findings: tuple[str, ...]
     no_loops: str | None
@@ -90,6 +91,24 @@ class Sent:
 
     scans: int
     refused: tuple[RefusedScan, ...]
+
+
+@dataclass(frozen=True)
+class Fixes:
+    """Which fixes of satellites become anchors: of `topic`, None for the one with most; none unless `wanted`.
+
+    `antenna_m` is the antenna in the frame of the sensor.
+    """
+
+    wanted: bool = True
+    topic: str | None = None
+    antenna_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+    def of(self, recording: Recording) -> list[NewAnchor]:
+        """The anchors of a recording. Exits where it has no such topic."""
+        from revisit.cli.fixes import anchors_of
+
+        return anchors_of(recording, self.topic, self.antenna_m) if self.wanted else []
 
 
 @dataclass(frozen=True)
@@ -135,10 +154,11 @@ def ingest(
     storey: Annotated[
         str | None, typer.Option(help="Storey of a building, as B2: never compared with sessions on others.")
     ] = None,
-    drift: Annotated[
-        str | None,
-        typer.Option(help="Drift of the odometry: WHEEL, VISUAL, LIDAR_INERTIAL, or as '0.03 m/m 0.1 deg/m'."),
+    gnss: Annotated[
+        str | None, typer.Option(help="Bags: topic of fixes of satellites, instead of the one with most.")
     ] = None,
+    no_gnss: Annotated[bool, typer.Option("--no-gnss", help="Post no fixes of satellites as anchors.")] = False,
+    antenna: Annotated[str, typer.Option(help="The antenna in the frame of the sensor: 'x y z', metres.")] = "0 0 0",
     grpc: Grpc = GRPC,
     limit: Limit = None,
     spool: Annotated[
@@ -155,13 +175,22 @@ def ingest(
         require_id("--session", session_id)
     recording = opened(folder, file_format, topic, odometry, mounting, poses, deskew)
     warn(recording)
-    session = session_id or id_of(recording.name, "--session")
-    target = Target(grpc, map_id, session, scene_scale, profile, storey, drift)
+    target = Target(grpc, map_id, session_id or id_of(recording.name, "--session"), scene_scale, profile, storey)
+    fixes = Fixes(not no_gnss, gnss, _point(antenna))
     try:
-        _transfer(recording, target, Extent(limit, spool, finish, wait), json)
+        _transfer(recording, target, Extent(limit, spool, finish, wait), json, fixes)
     except KeyboardInterrupt as error:
         typer.echo("revisit: interrupted; the same command goes on where this one ended", err=True)
         raise typer.Exit(130) from error
+
+
+def _point(text: str) -> tuple[float, float, float]:
+    """Three numbers. Exits where they are none."""
+    try:
+        x, y, z = (float(part) for part in text.split())
+    except ValueError as error:
+        raise refuse("--antenna must hold three numbers: 'x y z', metres") from error
+    return x, y, z
 
 
 def _silence_the_sdk() -> None:
@@ -171,8 +200,10 @@ def _silence_the_sdk() -> None:
     warnings.simplefilter("ignore", SuspiciousInput)
 
 
-def _transfer(recording: Recording, target: Target, extent: Extent, as_json: bool) -> None:
-    """Send the scans that the service does not have, finish the session, wait for its submaps, report.
+def _transfer(
+    recording: Recording, target: Target, extent: Extent, as_json: bool, fixes: Fixes = Fixes(wanted=False)
+) -> None:
+    """Send fixes and the scans that the service does not have, finish the session, wait for its submaps, report.
 
     Exits where nothing of the recording is stored.
     """
@@ -181,7 +212,9 @@ def _transfer(recording: Recording, target: Target, extent: Extent, as_json: boo
     signs.doing(f"asking the service at {target.grpc}")
     started = time.monotonic()
     with Client.grpc(target.grpc) as client:
-        session, sent = _sent(client, _open_session(client, target), recording, extent, as_json)
+        session = _open_session(client, target)
+        anchors = client.sessions.post_anchors(session, fixes.of(recording))
+        session, sent = _sent(client, session, recording, extent, as_json)
         submaps = _described(client, session, as_json) if extent.wait else client.list_submaps(session)
         found = client.loop_closures(f"maps/{target.map_id}", session=session)
         session = client.get_session(session.name)
@@ -195,6 +228,7 @@ def _transfer(recording: Recording, target: Target, extent: Extent, as_json: boo
         described=states.count("DESCRIBED"),
         failed=states.count("FAILED"),
         loop_closures=len(found),
+        anchors=len(anchors),
         seconds=time.monotonic() - started,
         findings=tuple(finding.code for finding in session.findings),
         no_loops=None if session.no_loops is None else session.no_loops.message,
@@ -256,8 +290,7 @@ def _tell_refused(recording: Recording, refused: tuple[RefusedScan, ...]) -> Non
 def _open_session(client: Client, target: Target) -> Session:
     """The session, created with its map where they do not exist.
 
-    Exits where the map has another scale or profile than was asked for, or the session another storey or
-    drift.
+    Exits where the map has another scale or profile than was asked for, or the session another storey.
     """
     map_name = f"maps/{target.map_id}"
     try:
@@ -271,11 +304,9 @@ def _open_session(client: Client, target: Target) -> Session:
     try:
         session = client.get_session(f"{map_name}/sessions/{target.session_id}")
     except NotFound:
-        return client.create_session(map_name, target.session_id, storey=target.storey, drift=target.drift)
+        return client.create_session(map_name, target.session_id, storey=target.storey)
     if target.storey not in (None, session.storey):
         raise refuse(f"{session.name} has storey {session.storey}; a session keeps the one it was created with")
-    if target.drift not in (None, session.drift):
-        raise refuse(f"{session.name} has drift {session.drift}; a session keeps the one it was created with")
     return session
 
 

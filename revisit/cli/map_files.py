@@ -27,11 +27,12 @@ CLOUD_VOXEL_M = 0.1
 
 @dataclass(frozen=True)
 class PlacedSubmap:
-    """A submap by its name, when it was taken, and where it lies in its frame of the map."""
+    """A submap by its name, when it was taken, and where it lies in its `frame` of the map."""
 
     name: str
     stamp_ns: int
     T_map_submap: Matrix4
+    frame: str = ""
 
 
 def placed_submaps(http: str, map_id: str, session_id: str = "") -> list[PlacedSubmap]:
@@ -42,8 +43,8 @@ def placed_submaps(http: str, map_id: str, session_id: str = "") -> list[PlacedS
     graph = read_graph(http, map_id, session_id)
     submaps = {one.name: one for track in graph.tracks for one in track}
     frames = _of_version(http, map_id, submaps) or _optimised_here(graph)
-    largest = max(frames.values(), key=len, default={})
-    return [PlacedSubmap(name, submaps[name].stamp_ns, pose) for name, pose in largest.items()]
+    frame = max(frames, key=lambda one: len(frames[one]), default="")
+    return [PlacedSubmap(name, submaps[name].stamp_ns, pose, frame) for name, pose in frames.get(frame, {}).items()]
 
 
 def _of_version(http: str, map_id: str, submaps: Container[str]) -> dict[str, dict[str, Matrix4]]:

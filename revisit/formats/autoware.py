@@ -16,6 +16,16 @@ CLOUDS, METADATA, PROJECTOR = "pointcloud_map.pcd", "pointcloud_map_metadata.yam
 LOCAL_PROJECTOR = "projector_type: Local\n"
 """A map in metres from a point of its own, not placed on earth."""
 
+
+def projector_of(origin: tuple[float, float, float]) -> str:
+    """The text of `PROJECTOR` for a map in metres east, north and up from `origin`: latitude and longitude, degrees,
+    and altitude, metres, of WGS 84.
+    """
+    latitude, longitude, altitude = origin
+    places = f"  latitude: {latitude:.10f}\n  longitude: {longitude:.10f}\n  altitude: {altitude:.4f}\n"
+    return f"projector_type: LocalCartesian\nvertical_datum: WGS84\nmap_origin:\n{places}"
+
+
 Corner = tuple[int, int]
 """The lower left corner of a square, metres in x and y."""
 

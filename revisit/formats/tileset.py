@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from revisit.formats.glb import Bounds
 
@@ -25,17 +26,18 @@ class TileFile:
     bounds: Bounds
 
 
-def tileset(tiles: Sequence[TileFile]) -> str:
-    """The JSON of the tiles, at least one, in the frame of the map.
+def tileset(tiles: Sequence[TileFile], T_ecef_map: NDArray[np.float64] | None = None) -> str:
+    """The JSON of the tiles, at least one, in the frame of the map, which T_ecef_map (4, 4) puts on earth.
 
-    Viewers turn the y up of glTF to the z up of 3D Tiles themselves, so there is no transform.
+    Viewers turn the y up of glTF to the z up of 3D Tiles themselves, so there is no transform for that.
     """
     low = np.min([tile.bounds.low for tile in tiles], axis=0)
     high = np.max([tile.bounds.high for tile in tiles], axis=0)
     whole = Bounds(tuple(low.tolist()), tuple(high.tolist()))
     error = ERROR_SHARE * float(np.linalg.norm(high - low))
     children = [{**_tile(tile.bounds, 0.0), "content": {"uri": tile.uri}} for tile in tiles]
-    root = {**_tile(whole, error), "refine": "ADD", "children": children}
+    placed = {} if T_ecef_map is None else {"transform": T_ecef_map.T.ravel().tolist()}  # column by column
+    root = {**placed, **_tile(whole, error), "refine": "ADD", "children": children}
     return json.dumps({"asset": {"version": "1.1"}, "geometricError": error, "root": root}, indent=1) + "\n"
 
 

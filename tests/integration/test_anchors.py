@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import itertools
+import json
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
+from revisit.cli.app import app
 from revisit.core.geometry import geodesy, se3
 from revisit.core.geometry.se3 import pose_matrix
+from revisit.sdk import anchors
 from revisit.service.domain.identity import SessionKey
 from revisit.service.domain.states import AnchorFrame, AnchorKind
 from revisit.service.features.anchors.rules import DrivePoses, NewAnchor
@@ -17,6 +21,7 @@ from revisit.service.features.graph.anchor_verdicts import anchor_verdicts, fram
 from revisit.service.features.graph.session_poses import PackedSubmaps
 from revisit.service.features.resources.paging import PageRequest
 from tests.support.fleet_in_service import fleet_in
+from tests.support.live_service import connected, live_service
 from tests.support.made_up_anchors import MAST, fixes
 from tests.support.service_world import TENANT, memory_world, sqlite_world
 
@@ -161,3 +166,36 @@ async def test_a_fix_lies_on_the_drive_between_the_scans_around_it():
     assert np.allclose(drive.at(10), np.eye(4)) and np.allclose(drive.at(20), pose_matrix(drive.T_odom[1]))
     assert se3.yaw(drive.at(15)) == pytest.approx(0.2)
     assert drive.at(9) is None and drive.at(21) is None
+
+
+def test_drives_are_exported_on_earth_where_anchors_hold_the_map(tmp_path):
+    world, out = memory_world(), tmp_path / "town.geojson"
+    made = fleet_in(world, "town", 0.0, sessions=2, submaps=30).fleet
+    with_stamps(world)
+    with live_service(world) as running, connected(running, "rest") as client:
+        asked = ["export", "--map", "town", "--format", "geojson", "--out", str(out), "--http", running.http]
+        client.wait(client.optimise_map("maps/town"))
+        refused = CliRunner().invoke(app, asked)
+        assert refused.exit_code != 0 and "does not lie on earth" in refused.output
+        for session in made.truth:
+            found = [sent(one) for one in new_anchors(made, session)]
+            client.sessions.post_anchors(f"maps/town/sessions/{session}", found)
+        client.wait(client.optimise_map("maps/town"))
+        (found,) = client.map_versions("maps/town")[-1].summary.georeferences
+        assert (found.anchors, found.of_anchors) == (48, 60) and found.covariance.shape == (6, 6)
+        written = CliRunner().invoke(app, asked)
+        assert written.exit_code == 0, written.output
+    features = {one["properties"]["session"]: one for one in json.loads(out.read_text())["features"]}
+    for session, poses in made.truth.items():
+        line = np.array(features[session]["geometry"]["coordinates"])
+        true = geodesy.geodetic_of_enu(ORIGIN, poses[:, :3, 3])
+        north, east = (111_195.0 * (line[:, 1 - axis] - true[:, axis]) for axis in (0, 1))
+        assert np.hypot(north, np.cos(np.radians(48.1)) * east).max() < 3.0
+
+
+def sent(one: NewAnchor) -> anchors.NewAnchor:
+    """As the SDK has it."""
+    return anchors.NewAnchor(
+        one.anchor_id, one.kind.value, one.stamp_ns, np.reshape(one.covariance, (3, 3)), geodetic=one.position,
+        offset_m=one.offset_m, T_odom_sensor=one.T_odom_sensor,
+    )  # fmt: skip

@@ -210,6 +210,17 @@ class Layout:
             self.rows.append((stamp, topic, cloud, message))
         return self
 
+    def fixes(self, topic: str, positions, status: int = 0, covariance=None) -> Layout:
+        """Fixes of satellites while the scans were taken, at (latitude, longitude, altitude) by time."""
+        told = np.zeros(9) if covariance is None else np.ravel(covariance)
+        for stamp in scan_stamps():
+            fixed = self.types["sensor_msgs/msg/NavSatStatus"](status=status, service=1)
+            message = self.types["sensor_msgs/msg/NavSatFix"](
+                self.header(stamp, "gps"), fixed, *positions(stamp), told, 0 if covariance is None else 3
+            )
+            self.rows.append((stamp, topic, "sensor_msgs/msg/NavSatFix", message))
+        return self
+
     def text(self, topic: str) -> Layout:
         self.rows.append((START_NS, topic, "std_msgs/msg/String", self.types["std_msgs/msg/String"](data="hello")))
         return self

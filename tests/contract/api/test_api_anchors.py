@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
+from revisit.cli.app import app
 from revisit.sdk.anchors import NewAnchor
 from revisit.sdk.errors import AlreadyExists, InvalidArgument, NotFound
+from tests.support.bag_layouts import Layout
 
 FIX = NewAnchor(
     "fix-1", "GNSS", 1_000, np.array([1.0, 1.0, 2.0]), geodetic=(48.0, 11.0, 500.0), offset_m=(0.1, 0.0, 1.5),
@@ -82,3 +86,21 @@ def test_a_session_that_is_not_there_has_no_anchors(client, town):
         client.sessions.anchors(f"{town}/sessions/sunday")
     with pytest.raises(NotFound):
         client.sessions.post_anchors(f"{town}/sessions/sunday", [FIX])
+
+
+def test_fixes_in_a_bag_become_anchors_of_its_session(service, client, tmp_path):
+    layout = Layout().raw("/points", "base").odometry("/odom", "odom", "base")
+    bag = layout.fixes("/gps/fix", lambda stamp: (48.0, 11.0, 500.0)).write2(tmp_path / "drive")
+    where = ["--grpc", service.grpc, "--map", f"bag-{type(client._transport).__name__}", "--json"]
+
+    def ingested(*more: str) -> dict[str, object]:
+        done = CliRunner().invoke(app, ["ingest", str(bag), *where, *more])
+        assert done.exit_code == 0, done.output
+        return json.loads(done.stdout)
+
+    assert ingested("--session", "without", "--no-gnss")["anchors"] == 0
+    done = ingested("--antenna", "0.5 0 1.2")
+    again = ingested("--antenna", "0.5 0 1.2")
+    assert (done["anchors"], again["anchors"], again["scans_sent"]) == (2, 2, 0)
+    kept = client.sessions.anchors(done["session"])
+    assert [one.kind for one in kept] == ["GNSS", "GNSS"] and kept[0].offset_m == (0.5, 0.0, 1.2)

@@ -9,6 +9,7 @@ import pytest
 import yaml
 
 from revisit.core.errors import MalformedBody
+from revisit.core.geometry import geodesy, se3
 from revisit.formats import autoware, glb, pcd
 from revisit.formats.tileset import TileFile, tileset
 
@@ -34,6 +35,23 @@ def test_every_point_of_a_map_lies_in_the_square_that_the_metadata_names(tmp_pat
 
 def test_a_map_that_is_not_on_earth_says_so_to_autoware():
     assert yaml.safe_load(autoware.LOCAL_PROJECTOR) == {"projector_type": "Local"}
+
+
+def test_a_map_on_earth_tells_its_origin_to_autoware():
+    assert yaml.safe_load(autoware.projector_of((48.1, -11.5, 520.25))) == {
+        "projector_type": "LocalCartesian",
+        "vertical_datum": "WGS84",
+        "map_origin": {"latitude": 48.1, "longitude": -11.5, "altitude": 520.25},
+    }
+
+
+def test_a_tileset_on_earth_has_the_transform_of_its_frame_column_by_column():
+    T_ecef_map = geodesy.T_ecef_enu((48.1, 11.5, 520.0)) @ se3.from_yaw(0.3, (4.0, 5.0, 6.0))
+    tile = TileFile("0.glb", glb.bounds_of_scene(a_scene((0.0, 0.0, 0.0))[1]))
+    root = json.loads(tileset([tile], T_ecef_map))["root"]
+    assert np.array_equal(np.reshape(root["transform"], (4, 4)).T, T_ecef_map)
+    assert geodesy.geodetic([root["transform"][12:15]])[0] == pytest.approx((48.100045, 11.500054, 526.0), abs=1e-5)
+    assert "transform" not in json.loads(tileset([tile]))["root"]
 
 
 def a_scene(offset) -> tuple[np.ndarray, bytes]:

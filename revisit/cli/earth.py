@@ -1,0 +1,60 @@
+"""Where a map lies on earth, as its version in force tells it: for files that other tools put on maps."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from revisit.cli.map_files import PlacedSubmap, by_session
+from revisit.core.geometry import geodesy
+from revisit.core.geometry.se3 import Matrix4
+from revisit.sdk.client import Client
+
+DIGITS = 9
+"""Of degrees: 0.1 mm."""
+
+
+@dataclass(frozen=True)
+class OnEarth:
+    """A frame of a map on earth: T_enu_map (4, 4) into metres east, north and up from `origin`, latitude, longitude
+    (degrees) and altitude (metres) of WGS 84.
+    """
+
+    origin: tuple[float, float, float]
+    T_enu_map: Matrix4
+
+    @property
+    def T_ecef_map(self) -> Matrix4:
+        """Into earth-centred coordinates."""
+        return np.asarray(geodesy.T_ecef_enu(self.origin) @ self.T_enu_map)
+
+    def placed(self, submaps: Sequence[PlacedSubmap]) -> list[PlacedSubmap]:
+        """The submaps in metres east, north and up from the origin."""
+        return [replace(one, T_map_submap=self.T_enu_map @ one.T_map_submap) for one in submaps]
+
+
+def frame_on_earth(http: str, map_id: str, frame: str) -> OnEarth | None:
+    """Where a frame of a map lies by the version in force; None where no anchors hold it."""
+    with Client(http) as client:
+        origin = client.get_map(f"maps/{map_id}").origin
+        version = next((one for one in client.map_versions(f"maps/{map_id}") if one.in_force), None)
+    found = next((one for one in version.summary.georeferences if one.frame == frame), None) if version else None
+    if found is None or origin is None:
+        return None
+    return OnEarth((origin.latitude_deg, origin.longitude_deg, origin.altitude_m), found.T_enu_map)
+
+
+def as_geojson(placed: Sequence[PlacedSubmap], earth: OnEarth) -> str:
+    """The drives as lines of WGS 84 (RFC 7946): longitude, latitude, altitude of each submap, one line a session."""
+    features = []
+    for session, drive in by_session(placed).items():
+        places = np.stack([earth.T_enu_map @ T_map_submap[:, 3] for T_map_submap in drive.T_map_submap])[:, :3]
+        positions = geodesy.geodetic_of_enu(earth.origin, places)
+        line = [[round(lon, DIGITS), round(lat, DIGITS), round(alt, 3)] for lat, lon, alt in positions.tolist()]
+        lone = {"type": "Point", "coordinates": line[0]}
+        geometry = {"type": "LineString", "coordinates": line} if len(line) > 1 else lone
+        features.append({"type": "Feature", "properties": {"session": session}, "geometry": geometry})
+    return json.dumps({"type": "FeatureCollection", "features": features}, indent=1) + "\n"
