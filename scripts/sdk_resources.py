@@ -53,7 +53,8 @@ NAMES = {
 
 NONE = {
     "Anchor.state", "Anchor.reason",
-    "Session.robot", "Session.storey", "Submap.model_version", "LocalizedCandidate.reason", "LocalizeResponse.session",
+    "Session.robot", "Session.storey", "Session.drift", "Submap.model_version", "LocalizedCandidate.reason",
+    "LocalizeResponse.session",
     "LoopClosure.reason", "LoopClosure.graph_state", "LoopClosureEvent.reason", "LoopClosureEvent.graph_state",
     "LoopClosureEvent.map_version", "MapVersion.restored_from", "MapVersion.operation", "WebhookDelivery.status",
     "WebhookDelivery.error", "RelocalisedPose.session", "RelocaliseAnswer.reason",

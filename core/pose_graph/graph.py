@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
@@ -60,6 +61,14 @@ class Node(NamedTuple):
     ordinal: int
 
 
+ODOMETRY_CLASSES = {"WHEEL": (0.03, 0.3), "VISUAL": (0.015, 0.08), "LIDAR_INERTIAL": (0.004, 0.02)}
+"""Drift of odometry by its sensor, metres a metre and degrees a metre: one standard deviation of a step."""
+
+_DRIFT = re.compile(r"(\d+(?:\.\d+)?) m/m (\d+(?:\.\d+)?) deg/m")
+_LEAST_DRIFT, _MOST_DRIFT = (0.0005, 0.001), (0.5, 5.0)
+_LEAST_STEP_M = 2.0
+
+
 @dataclass(frozen=True)
 class OdometryModel:
     """How fast odometry drifts: standard deviations that grow with the distance travelled, and their least values.
@@ -72,6 +81,31 @@ class OdometryModel:
     rotation_rad_per_m: float = 2e-3
     least_translation_m: float = 0.02
     least_rotation_rad: float = 2e-3
+
+    @classmethod
+    def stated(cls, drift: str | None) -> OdometryModel:
+        """The model by a statement: one of ODOMETRY_CLASSES, or as "0.03 m/m 0.1 deg/m"; the default where it is None.
+
+        A step of less than 2 m drifts as one of 2 m, or less. Raises BadField for anything else, and beyond 0.0005 to
+        0.5 m/m or 0.001 to 5 deg/m.
+        """
+        if drift is None:
+            return cls()
+        figures = _DRIFT.fullmatch(drift)
+        translation, rotation_deg = (
+            (float(figures[1]), float(figures[2])) if figures else ODOMETRY_CLASSES.get(drift, (np.nan, np.nan))
+        )
+        (least, least_deg), (most, most_deg) = _LEAST_DRIFT, _MOST_DRIFT
+        if not (least <= translation <= most and least_deg <= rotation_deg <= most_deg):
+            message = f"drift must be one of {', '.join(ODOMETRY_CLASSES)}, or as '0.03 m/m 0.1 deg/m' within bounds"
+            raise BadField(message, field="drift")
+        rotation = float(np.radians(rotation_deg))
+        return cls(
+            translation,
+            rotation,
+            min(cls.least_translation_m, _LEAST_STEP_M * translation),
+            min(cls.least_rotation_rad, _LEAST_STEP_M * rotation),
+        )
 
     def covariances(self, steps_m: Array64) -> Array64:
         """Covariances (n, 6, 6) of steps (n,) metres long, tangent (x, y, z, rx, ry, rz) at the step's end."""

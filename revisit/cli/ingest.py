@@ -47,7 +47,7 @@ REFUSED_TOLD = 5
 class Target:
     """Where scans go. A new map gets `scene_scale` and `profile`, one that exists must have them; None takes any.
 
-    So does a new session its `storey`.
+    So does a new session its `storey` and its `drift`.
     """
 
     grpc: str
@@ -56,6 +56,7 @@ class Target:
     scene_scale: float | None = None
     profile: str | None = None
     storey: str | None = None
+    drift: str | None = None
 
 
 @dataclass(frozen=True)
@@ -154,6 +155,10 @@ def ingest(
     storey: Annotated[
         str | None, typer.Option(help="Storey of a building, as B2: never compared with sessions on others.")
     ] = None,
+    drift: Annotated[
+        str | None,
+        typer.Option(help="Drift of the odometry: WHEEL, VISUAL, LIDAR_INERTIAL, or as '0.03 m/m 0.1 deg/m'."),
+    ] = None,
     gnss: Annotated[
         str | None, typer.Option(help="Bags: topic of fixes of satellites, instead of the one with most.")
     ] = None,
@@ -175,7 +180,8 @@ def ingest(
         require_id("--session", session_id)
     recording = opened(folder, file_format, topic, odometry, mounting, poses, deskew)
     warn(recording)
-    target = Target(grpc, map_id, session_id or id_of(recording.name, "--session"), scene_scale, profile, storey)
+    session = session_id or id_of(recording.name, "--session")
+    target = Target(grpc, map_id, session, scene_scale, profile, storey, drift)
     fixes = Fixes(not no_gnss, gnss, _point(antenna))
     try:
         _transfer(recording, target, Extent(limit, spool, finish, wait), json, fixes)
@@ -290,7 +296,8 @@ def _tell_refused(recording: Recording, refused: tuple[RefusedScan, ...]) -> Non
 def _open_session(client: Client, target: Target) -> Session:
     """The session, created with its map where they do not exist.
 
-    Exits where the map has another scale or profile than was asked for, or the session another storey.
+    Exits where the map has another scale or profile than was asked for, or the session another storey or
+    drift.
     """
     map_name = f"maps/{target.map_id}"
     try:
@@ -304,9 +311,11 @@ def _open_session(client: Client, target: Target) -> Session:
     try:
         session = client.get_session(f"{map_name}/sessions/{target.session_id}")
     except NotFound:
-        return client.create_session(map_name, target.session_id, storey=target.storey)
+        return client.create_session(map_name, target.session_id, storey=target.storey, drift=target.drift)
     if target.storey not in (None, session.storey):
         raise refuse(f"{session.name} has storey {session.storey}; a session keeps the one it was created with")
+    if target.drift not in (None, session.drift):
+        raise refuse(f"{session.name} has drift {session.drift}; a session keeps the one it was created with")
     return session
 
 

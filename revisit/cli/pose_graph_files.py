@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import io
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -23,10 +23,11 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Graph:
-    """Submaps by session in their order, and the accepted loops between them."""
+    """Submaps by session in their order, the accepted loops between them, and the stated drift of each session."""
 
     tracks: list[list[Submap]]
     loops: list[LoopClosure]
+    drifts: dict[str, str | None] = field(default_factory=dict)
 
 
 def read_graph(http: str, map_id: str, session_id: str = "") -> Graph:
@@ -34,23 +35,28 @@ def read_graph(http: str, map_id: str, session_id: str = "") -> Graph:
     map_name = f"maps/{map_id}"
     with Client(http) as client:
         if session_id:
-            names = [f"{map_name}/sessions/{session_id}"]
+            sessions = [client.get_session(f"{map_name}/sessions/{session_id}")]
         else:
-            names = [session.name for session in client.list_sessions(map_name)]
-        tracks = [client.list_submaps(name) for name in names]
+            sessions = client.list_sessions(map_name)
+        tracks = [client.list_submaps(session) for session in sessions]
         loops = client.loop_closures(map_name, state="ACCEPTED")
     chosen = {submap.name for track in tracks for submap in track}
-    return Graph(tracks, [loop for loop in loops if {loop.query, loop.match} <= chosen])
+    drifts = {session.name: session.drift for session in sessions}
+    return Graph(tracks, [loop for loop in loops if {loop.query, loop.match} <= chosen], drifts)
 
 
 def pose_graph(graph: Graph) -> PoseGraph:
-    """The graph that `core.pose_graph` optimises; steps are as uncertain as its model of odometry says."""
-    from revisit.core.pose_graph.graph import Node, PoseGraph, Trajectory
+    """The graph that `core.pose_graph` optimises; steps are as uncertain as their session states."""
+    from revisit.core.pose_graph.graph import Node, OdometryModel, PoseGraph, Trajectory
 
     tracks = [track for track in graph.tracks if track]
     node = {submap.name: Node(_session(submap), n) for track in tracks for n, submap in enumerate(track)}
     trajectories = [
-        Trajectory.from_odometry(_session(track[0]), np.stack([submap.T_odom_submap for submap in track]))
+        Trajectory.from_odometry(
+            name := _session(track[0]),
+            np.stack([submap.T_odom_submap for submap in track]),
+            OdometryModel.stated(graph.drifts.get(name)),
+        )
         for track in tracks
     ]
     edges = [_edge(loop, loop.T_match_query, node) for loop in graph.loops if loop.T_match_query is not None]

@@ -286,6 +286,8 @@ class Session(Resource):
     """Why a finished session has no accepted loop; absent where it has one, or where submaps wait to be described. Not
     in lists of sessions.
     """
+    drift: str | None = None
+    """How far its odometry drifts, as CreateSessionRequest said it; empty where nobody did."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -8,7 +8,7 @@ from typing import ClassVar as _ClassVar, Optional as _Optional, Union as _Union
 DESCRIPTOR: _descriptor.FileDescriptor
 
 class Session(_message.Message):
-    __slots__ = ("name", "robot", "state", "committed_seq", "travelled_m", "submap_count", "created_at_ns", "finished_at_ns", "committed_stamp_ns", "findings", "storey", "no_loops")
+    __slots__ = ("name", "robot", "state", "committed_seq", "travelled_m", "submap_count", "created_at_ns", "finished_at_ns", "committed_stamp_ns", "findings", "storey", "no_loops", "drift")
     class State(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
         __slots__ = ()
         STATE_UNSPECIFIED: _ClassVar[Session.State]
@@ -29,6 +29,7 @@ class Session(_message.Message):
     FINDINGS_FIELD_NUMBER: _ClassVar[int]
     STOREY_FIELD_NUMBER: _ClassVar[int]
     NO_LOOPS_FIELD_NUMBER: _ClassVar[int]
+    DRIFT_FIELD_NUMBER: _ClassVar[int]
     name: str
     robot: str
     state: Session.State
@@ -41,7 +42,8 @@ class Session(_message.Message):
     findings: _containers.RepeatedCompositeFieldContainer[Finding]
     storey: str
     no_loops: NoLoops
-    def __init__(self, name: _Optional[str] = ..., robot: _Optional[str] = ..., state: _Optional[_Union[Session.State, str]] = ..., committed_seq: _Optional[int] = ..., travelled_m: _Optional[float] = ..., submap_count: _Optional[int] = ..., created_at_ns: _Optional[int] = ..., finished_at_ns: _Optional[int] = ..., committed_stamp_ns: _Optional[int] = ..., findings: _Optional[_Iterable[_Union[Finding, _Mapping]]] = ..., storey: _Optional[str] = ..., no_loops: _Optional[_Union[NoLoops, _Mapping]] = ...) -> None: ...
+    drift: str
+    def __init__(self, name: _Optional[str] = ..., robot: _Optional[str] = ..., state: _Optional[_Union[Session.State, str]] = ..., committed_seq: _Optional[int] = ..., travelled_m: _Optional[float] = ..., submap_count: _Optional[int] = ..., created_at_ns: _Optional[int] = ..., finished_at_ns: _Optional[int] = ..., committed_stamp_ns: _Optional[int] = ..., findings: _Optional[_Iterable[_Union[Finding, _Mapping]]] = ..., storey: _Optional[str] = ..., no_loops: _Optional[_Union[NoLoops, _Mapping]] = ..., drift: _Optional[str] = ...) -> None: ...
 
 class NoLoops(_message.Message):
     __slots__ = ("code", "message")
@@ -88,16 +90,18 @@ class OdometryFault(_message.Message):
     def __init__(self, session: _Optional[str] = ..., kind: _Optional[str] = ..., first_submap: _Optional[str] = ..., last_submap: _Optional[str] = ..., amount: _Optional[float] = ..., sigma: _Optional[float] = ..., loops: _Optional[int] = ..., submaps: _Optional[int] = ..., message: _Optional[str] = ...) -> None: ...
 
 class CreateSessionRequest(_message.Message):
-    __slots__ = ("parent", "session_id", "robot", "storey")
+    __slots__ = ("parent", "session_id", "robot", "storey", "drift")
     PARENT_FIELD_NUMBER: _ClassVar[int]
     SESSION_ID_FIELD_NUMBER: _ClassVar[int]
     ROBOT_FIELD_NUMBER: _ClassVar[int]
     STOREY_FIELD_NUMBER: _ClassVar[int]
+    DRIFT_FIELD_NUMBER: _ClassVar[int]
     parent: str
     session_id: str
     robot: str
     storey: str
-    def __init__(self, parent: _Optional[str] = ..., session_id: _Optional[str] = ..., robot: _Optional[str] = ..., storey: _Optional[str] = ...) -> None: ...
+    drift: str
+    def __init__(self, parent: _Optional[str] = ..., session_id: _Optional[str] = ..., robot: _Optional[str] = ..., storey: _Optional[str] = ..., drift: _Optional[str] = ...) -> None: ...
 
 class CreateSessionResponse(_message.Message):
     __slots__ = ("session", "replay")

@@ -71,13 +71,14 @@ class NamedGraph:
 
     @classmethod
     def of(cls, graph: MapGraph) -> NamedGraph:
-        """Steps are as uncertain as the model of odometry in `core.pose_graph` says."""
+        """Steps are as uncertain as the odometry of their tracks."""
         from revisit.core.pose_graph.graph import Node, PoseGraph, Trajectory
         from revisit.core.pose_graph.independence import weighed
 
         names = _names(graph.tracks)
         trajectories = [
-            Trajectory.from_odometry(names[track.session_number], track.T_odom_submap) for track in graph.tracks
+            Trajectory.from_odometry(names[track.session_number], track.T_odom_submap, track.odometry)
+            for track in graph.tracks
         ]
         nodes = {
             number: Node(names[track.session_number], place)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from revisit.core.geometry import se3
-from revisit.core.pose_graph.graph import GraphState, LoopEdge, Node, OdometryModel, PoseGraph, loop_covariance
+from revisit.core.pose_graph.graph import GraphState, LoopEdge, Node, PoseGraph, loop_covariance
 from revisit.core.pose_graph.independence import share_beside
 from revisit.core.pose_graph.variance_factor import rescaled, variance_factor
 from revisit.core.pose_graph.warm_start import SolvedComponent
@@ -28,6 +28,7 @@ class CoreSolvedMap:
         self._window_m = graph.window_m
         self._tracks = {names[track.session_number]: track for track in tracks}
         self._names = {track.session_number: names[track.session_number] for track in tracks}
+        self._models = {names[track.session_number]: track.odometry for track in graph.tracks}
         self._nodes = {
             number: Node(self._names[track.session_number], place)
             for track in graph.tracks
@@ -98,7 +99,7 @@ class CoreSolvedMap:
     def _append(self, component: SolvedComponent, node: Node) -> None:
         poses = self._odometry[node.session]
         T_step = se3.inverse(poses[node.ordinal - 1]) @ poses[node.ordinal]
-        covariance = OdometryModel().covariances(np.linalg.norm(T_step[None, :3, 3], axis=1))[0]
+        covariance = self._models[node.session].covariances(np.linalg.norm(T_step[None, :3, 3], axis=1))[0]
         component.append(node.session, T_step, self._factor * covariance)
 
     def _share(self, match: Node, query: Node) -> float:

@@ -83,11 +83,13 @@ class RobotRecord:
 class SessionDetails:
     """What a client may say of a session when it creates it, in its own words; None where it did not. It never changes.
 
-    `storey` is the level of a building that all of the session is driven on, as B2. A new detail is a field here and in
+    `storey` is the level of a building that all of the session is driven on, as B2. `drift` is that of its odometry, as
+    `core.pose_graph.graph.OdometryModel.stated` reads it. A new detail is a field here and in
     `SessionRecord`, and a column of its name.
     """
 
     storey: str | None = None
+    drift: str | None = None
 
     @classmethod
     def of(cls, source: Any) -> dict[str, Any]:
@@ -117,6 +119,7 @@ class SessionRecord:
     created_at_ns: int
     finished_at_ns: int | None
     storey: str | None = None
+    drift: str | None = None
     stream: str | None = None
     number: int = 0
 

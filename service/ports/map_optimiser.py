@@ -17,7 +17,7 @@ from revisit.core.geometry.se3 import Matrix4
 from revisit.core.merge.evidence import MergeEvidence, MergeRefusal
 from revisit.core.pose_graph.anchors import Georeference, Heading, JudgedAnchor
 from revisit.core.pose_graph.faults import OdometryFault
-from revisit.core.pose_graph.graph import GraphState
+from revisit.core.pose_graph.graph import GraphState, OdometryModel
 
 Array64 = NDArray[np.float64]
 
@@ -27,11 +27,14 @@ Progress = Callable[[str, int, int], None]
 
 @dataclass(frozen=True)
 class SessionTrack:
-    """The submaps of a session in the order of their drive, by number, and where its odometry saw them (n, 4, 4)."""
+    """The submaps of a session in the order of their drive, by number, where its odometry saw them (n, 4, 4), and how
+    fast that drifts.
+    """
 
     session_number: int
     submaps: tuple[int, ...]
     T_odom_submap: Array64
+    odometry: OdometryModel = OdometryModel()
 
 
 @dataclass(frozen=True)

@@ -18,12 +18,12 @@ ROOT = Path(__file__).resolve().parents[2]
 PROTO, RECORDS = "proto/revisit/v1/session.proto", "service/domain/records.py"
 FIELD = {
     PROTO: [
-        (r"(  NoLoops no_loops = 12;\n)", r"\1  // Who drove, in the client's words.\n  string driver = 13;\n"),
-        (r"(message CreateSessionRequest {.*?  string storey = 4;\n)", r"\1  string driver = 5;\n"),
+        (r"(  string drift = 13;\n)", r"\1  // Who drove, in the client's words.\n  string driver = 14;\n"),
+        (r"(message CreateSessionRequest {.*?  string drift = 5;\n)", r"\1  string driver = 6;\n"),
     ],
     RECORDS: [
-        (r"(class SessionDetails:.*?    storey: str \| None = None\n)", r"\1    driver: str | None = None\n"),
-        (r"(class SessionRecord:.*?    storey: str \| None = None\n)", r"\1    driver: str | None = None\n"),
+        (r"(class SessionDetails:.*?    drift: str \| None = None\n)", r"\1    driver: str | None = None\n"),
+        (r"(class SessionRecord:.*?    drift: str \| None = None\n)", r"\1    driver: str | None = None\n"),
     ],
 }  # fmt: skip
 """A new detail of a session, `driver`; beside these files, one new migration."""

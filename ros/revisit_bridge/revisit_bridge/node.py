@@ -89,7 +89,7 @@ class BridgeNode(Node):
         own = self.parameters
         folder = Path(own.spool_dir).expanduser() if own.spool_dir else Path.home() / ".revisit" / "spool"
         self._client = Client.grpc(own.service)
-        sessions = ServiceSessions(self._client, own.robot_id, own.spool_max_mb * 2**20)
+        sessions = ServiceSessions(self._client, own.robot_id, own.spool_max_mb * 2**20, own.drift)
         outbox = Outbox(folder, own.map_id, sessions, time.monotonic, own.storey)
         answers = ServiceAnswers(self._client)
         state_file, relocaliser = folder / "last_scan.json", Relocaliser(self._conversation)

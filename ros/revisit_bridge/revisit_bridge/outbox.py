@@ -53,11 +53,14 @@ class Sessions(Protocol):
 
 @dataclass(frozen=True)
 class ServiceSessions:
-    """Sessions of one robot over the SDK. The map and the robot are created with the first of them."""
+    """Sessions of one robot, with the drift of its odometry, over the SDK. The map and the robot are created with the
+    first of them.
+    """
 
     client: Client
     robot_id: str
     max_bytes: int
+    drift: str = ""
 
     def stream(self, session: str, spool: Path, storey: str) -> contextlib.AbstractContextManager[Stream]:
         """See Sessions."""
@@ -75,7 +78,8 @@ class ServiceSessions:
             # A map that is there may have other settings than the service's defaults: that is no matter here.
             self.client.create_map(map_id)
         robot = self.client.create_robot(self.robot_id)
-        self.client.create_session(f"maps/{map_id}", session_id, robot=robot, storey=storey or None)
+        said = {"storey": storey or None, "drift": self.drift or None}
+        self.client.create_session(f"maps/{map_id}", session_id, robot=robot, **said)
 
 
 @dataclass

@@ -23,6 +23,9 @@ class Parameters:
     storey: str = _parameter(
         "", "storey of a building that the robot is on, as B2; empty: not known. May be set anew in a lift"
     )
+    drift: str = _parameter(
+        "", "drift of the odometry: WHEEL, VISUAL, LIDAR_INERTIAL, or as `0.03 m/m 0.1 deg/m`; empty: not known"
+    )
     spool_dir: str = _parameter("", "folder for scans that wait for the service; empty: ~/.revisit/spool")
     spool_max_mb: int = _parameter(4096, "MB that the clouds of one session may take on this disk")
     cloud_topic: str = _parameter("points", "sensor_msgs/PointCloud2 in the frame of the sensor")

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
+from revisit.core.pose_graph.graph import OdometryModel
 from revisit.core.sanity.finding import LIKELY_CAUSES
 from revisit.service.domain.identity import (
     SessionKey,
@@ -55,6 +56,7 @@ class CreateSession(SessionDetails):
 
     def validated(self) -> dict[str, Any]:
         """The details by name. Raises BadField."""
+        OdometryModel.stated(self.drift)
         return {name: validated_detail(value, name) for name, value in SessionDetails.of(self).items()}
 
 

@@ -7,7 +7,7 @@ the map is moved by them. A version replaces them; so does every change that mak
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 
 import numpy as np
@@ -220,7 +220,7 @@ def _known_track(track: SessionTrack, row: SessionPosesRecord) -> tuple[SessionT
     numbers = tuple(track.submaps[n] for n in there)
     poses = packed.T_map_submap[[place[number] for number in numbers]]
     anchor = int(row.frame.rpartition("-")[2])
-    known = SessionTrack(track.session_number, numbers, track.T_odom_submap[there])
+    known = replace(track, submaps=numbers, T_odom_submap=track.T_odom_submap[there])
     return known, SolvedTrack(track.session_number, anchor, np.asarray(poses, dtype=np.float64))
 
 

@@ -11,9 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from revisit.core.geometry.se3 import pose_matrix
+from revisit.core.pose_graph.graph import OdometryModel
 from revisit.service.domain.identity import TenantId
 from revisit.service.domain.policy import Policy
-from revisit.service.domain.records import LoopRecord, MapRecord, SessionPosesRecord
+from revisit.service.domain.records import LoopRecord, MapRecord, SessionPosesRecord, SessionRecord
 from revisit.service.domain.states import LoopState
 from revisit.service.features.graph.anchors import read_anchors
 from revisit.service.ports.map_optimiser import AUDITED, MapGraph, SessionTrack, TrackLoop
@@ -46,16 +47,16 @@ def read_task(uow: UnitOfWork, policy: Policy, tenant: TenantId, map_id: str) ->
     record = uow.maps.get(tenant, map_id)
     if record is None:
         return None
-    ids = {session.number: session.session_id for session in uow.sessions.find(tenant, map_id=map_id)}
+    sessions = {session.number: session for session in uow.sessions.find(tenant, map_id=map_id)}
     placed = uow.submaps.placed(tenant, map_id)
-    tracks = _tracks(placed)
+    tracks = _tracks(placed, sessions)
     loops, of_graph = _accepted(uow, tenant, map_id)
     fixed = read_anchors(uow, record, placed)
     graph = MapGraph(tracks, of_graph, policy.for_map(record).submap.tau, fixed=fixed)
     before = uow.session_poses.find(tenant, map_id=map_id, version=record.map_version)
     version = uow.map_versions.get(tenant, map_id, record.map_version)
     audited = {} if version is None else {int(one): n for one, n in version.summary.get(AUDITED, {}).items()}
-    session_ids = tuple(ids[track.session_number] for track in tracks)
+    session_ids = tuple(sessions[track.session_number].session_id for track in tracks)
     return MapTask(record, graph, session_ids, loops, tuple(before), audited)
 
 
@@ -84,12 +85,13 @@ def with_evidence(uow: UnitOfWork, loops: Sequence[LoopRecord]) -> Iterator[Loop
         yield from (replace(loop, evidence=stored[loop.number].evidence) for loop in some)
 
 
-def _tracks(placed: Iterable[PlacedSubmap]) -> tuple[SessionTrack, ...]:
+def _tracks(placed: Iterable[PlacedSubmap], sessions: Mapping[int, SessionRecord]) -> tuple[SessionTrack, ...]:
     tracks = []
     for number, of_session in groupby(placed, key=lambda one: one.session_number):
         drive = list(of_session)
         poses = np.stack([pose_matrix(one.T_odom_submap) for one in drive])
-        tracks.append(SessionTrack(number, tuple(one.number for one in drive), poses))
+        odometry = OdometryModel.stated(sessions[number].drift)
+        tracks.append(SessionTrack(number, tuple(one.number for one in drive), poses, odometry))
     return tuple(tracks)
 
 

@@ -20,7 +20,7 @@ from revisit.service.features.graph.map_frames import frame_name
 from revisit.service.features.graph.reading import MapTask, read_task
 from revisit.service.features.graph.session_poses import PackedSubmaps
 from revisit.service.ports.map_merger import DescribedPlaces
-from revisit.service.ports.map_optimiser import MapGraph, RefusedJoin, SessionTrack, TrackLoop
+from revisit.service.ports.map_optimiser import MapGraph, RefusedJoin, TrackLoop
 from revisit.service.ports.storage import require_descriptor
 from revisit.service.ports.transactions import UnitOfWork
 
@@ -160,7 +160,7 @@ def _only(task: MapTask, numbers: set[int]) -> MapTask:
         rows = [row for row, number in enumerate(track.submaps) if number in numbers]
         if rows:
             submaps = tuple(track.submaps[row] for row in rows)
-            tracks.append(SessionTrack(track.session_number, submaps, track.T_odom_submap[rows]))
+            tracks.append(replace(track, submaps=submaps, T_odom_submap=track.T_odom_submap[rows]))
             ids.append(session_id)
     kept = [row for row, loop in enumerate(task.graph.loops) if {loop.match, loop.query} <= numbers]
     loops: tuple[LoopRecord, ...] = tuple(task.loops[row] for row in kept)
