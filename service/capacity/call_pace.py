@@ -12,6 +12,7 @@ from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
 from functools import partial
 
+from revisit.service.capacity.addresses import holder_of
 from revisit.service.capacity.budget import GatewayShare, Rate, RateBudget, Remembered, wait_while
 from revisit.service.capacity.limits import (
     CALL_POLL_S,
@@ -91,13 +92,17 @@ class CallPace:
     async def refusal(self, address: str) -> None:
         """Return when a caller that nobody knows may be told so; at once where too many wait."""
         try:
-            await self._wait(self._unauthenticated, self._rate(("address", address), self._limits.refusals_per_s))
+            await self._wait(
+                self._unauthenticated, self._of_stranger("refused", address, self._limits.refusals_per_s)
+            )
         except RateLimited:
             return
 
     async def public(self, address: str) -> None:
         """Return when a call without a credential may begin. Raises RateLimited where too many wait."""
-        await self._wait(self._unauthenticated, self._rate(("public", address), self._limits.public_calls_per_s))
+        await self._wait(
+            self._unauthenticated, self._of_stranger("public", address, self._limits.public_calls_per_s)
+        )
 
     async def _wait(self, line: _Line, *rates: Rate) -> None:
         """Spend a token of each rate and wait until they are there; a call that is given up has spent them, too."""
@@ -116,6 +121,9 @@ class CallPace:
         limits = self._limits
         own = self._rate(("client", tenant, client), self._share.of(limits.client_calls_per_s))
         return own, self._rate(("tenant", tenant), self._share.of(limits.tenant_calls_per_s))
+
+    def _of_stranger(self, kind: str, address: str, per_s: float) -> Rate:
+        return self._rate((kind, holder_of(address)), per_s)
 
     def _rate(self, caller: tuple[str, ...], per_s: float) -> Rate:
         return Rate(caller, per_s, self._limits.burst)

@@ -7,19 +7,16 @@ costs more than a millisecond, and thousands a second leave no time for others.
 from __future__ import annotations
 
 import hashlib
-import ipaddress
 import itertools
 import secrets
 import time
 from collections.abc import Callable
 from enum import StrEnum
-from functools import lru_cache
 
-from revisit.service.capacity.budget import MOST_HOLDERS, Rate, RateBudget, Remembered
+from revisit.service.capacity.addresses import holder_of, network_of
+from revisit.service.capacity.budget import Rate, RateBudget, Remembered
 from revisit.service.capacity.limits import (
     KNOWN_S,
-    NETWORK_BITS_IPV4,
-    NETWORK_BITS_IPV6,
     UNAUTHENTICATED_PER_ADDRESS,
     ArrivalRates,
 )
@@ -120,27 +117,3 @@ class UnauthenticatedConnections:
         here.pop(number, None)
         if not here:
             self._by_holder.pop(holder, None)
-
-
-@lru_cache(MOST_HOLDERS)
-def holder_of(address: str) -> str:
-    """The holder of an address: itself, or the network of an IPv6 address."""
-    try:
-        known = ipaddress.ip_address(address)
-    except ValueError:
-        return address
-    if isinstance(known, ipaddress.IPv4Address):
-        return address
-    if known.ipv4_mapped is not None:
-        return str(known.ipv4_mapped)
-    return str(ipaddress.ip_network((known, NETWORK_BITS_IPV6), strict=False))
-
-
-@lru_cache(MOST_HOLDERS)
-def network_of(address: str) -> str:
-    """The network that an address is in: a /24, or the /64 of an IPv6 address."""
-    holder = holder_of(address)
-    try:
-        return str(ipaddress.ip_network((ipaddress.IPv4Address(holder), NETWORK_BITS_IPV4), strict=False))
-    except ValueError:
-        return holder

@@ -14,7 +14,7 @@ from revisit.service.domain.errors import Unauthenticated
 from revisit.service.edge import requests
 from revisit.service.edge.requests import refusal
 from revisit.service.features.keys.admission import STREAM_RECHECK_S, Credential
-from revisit.service.grpc.open_connections import OpenConnections
+from revisit.service.grpc.open_connections import OpenConnections, endpoint_of
 from revisit.service.use_cases import UseCases
 
 
@@ -50,11 +50,11 @@ class Gate:
 
     async def admit_public(self, peer: str) -> None:
         """Return when a call that needs no credential may begin. Raises RateLimited."""
-        await self._access.admit_public(_address_of(peer))
+        await self._access.admit_public(endpoint_of(peer).address)
 
     async def delay_refusal(self, peer: str) -> None:
         """Wait before an unauthenticated call is refused, if those of its address are refused too often."""
-        await self._access.delay_refusal(_address_of(peer))
+        await self._access.delay_refusal(endpoint_of(peer).address)
 
     @asynccontextmanager
     async def watching(self, method: str, context: Any) -> AsyncIterator[None]:
@@ -87,11 +87,7 @@ def credential_of(context: Any) -> Credential:
     sent = [str(value) for name, value in context.invocation_metadata() or () if name == "authorization"]
     names = context.auth_context().get("x509_subject_alternative_name", ())
     decoded = [name.decode("utf-8", "replace") for name in names]
-    return requests.credential_of(sent, _address_of(str(context.peer())), decoded)
-
-
-def _address_of(peer: str) -> str:
-    return peer.rpartition(":")[0]
+    return requests.credential_of(sent, endpoint_of(str(context.peer())).address, decoded)
 
 
 def call_of(path: str) -> Call:

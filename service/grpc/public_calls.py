@@ -6,10 +6,11 @@ import asyncio
 from collections.abc import AsyncIterator, Iterator
 from contextlib import asynccontextmanager, contextmanager
 
+from revisit.service.capacity.addresses import holder_of
 from revisit.service.capacity.limits import PUBLIC_CALLS_WAITING, PUBLIC_WATCHES
 from revisit.service.capacity.slots import Slots
 from revisit.service.domain.errors import DeadlineExceeded
-from revisit.service.edge.connections import UnauthenticatedConnections, holder_of
+from revisit.service.edge.connections import UnauthenticatedConnections
 from revisit.service.grpc.open_connections import endpoint_of
 
 

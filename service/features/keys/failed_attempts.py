@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from revisit.service.capacity.addresses import holder_of
 from revisit.service.capacity.budget import Rate, RateBudget
 from revisit.service.capacity.limits import (
     ADDRESS_FAILURES_AT_ONCE,
@@ -14,7 +15,7 @@ from revisit.service.capacity.limits import (
 
 
 class FailedAttempts:
-    """A budget per address and one for all together.
+    """A budget per address, or per network of IPv6 addresses, and one for all together.
 
     A valid credential is never refused for it: a client that shares an address with an attacker stays in.
     """
@@ -26,7 +27,7 @@ class FailedAttempts:
 
     def count(self, address: str) -> float:
         """Count a failure; 0 within the budget, else the seconds until it has room."""
-        own = Rate((address,), ADDRESS_FAILURES_PER_S, ADDRESS_FAILURES_AT_ONCE)
+        own = Rate((holder_of(address),), ADDRESS_FAILURES_PER_S, ADDRESS_FAILURES_AT_ONCE)
         wait_s = self._rates.try_take([own, Rate((), FAILURES_PER_S, FAILURES_AT_ONCE)])
         self._over_budget += wait_s > 0.0
         return wait_s

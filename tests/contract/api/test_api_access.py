@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from dataclasses import replace
 
 import grpc
@@ -15,30 +14,11 @@ from revisit.service.calls import catalogue
 from revisit.service.grpc import server as grpc_server
 from revisit.service.rest.access import allows, every_route, require_declared_scopes, scopes_of
 from revisit.service.rest.app import create_app
-from revisit.service.rest.routes.page import WEB
 from tests.support.credentials import a_key, bearer, ended
+from tests.support.every_call import PUBLIC_PATHS, rest_calls, rpcs
 from tests.support.service_world import memory_world
 
 PATHS = {"map_id": "town", "session_id": "monday", "submap_id": "a", "loop_id": "loop-1", "operation_id": "op-1"}
-PUBLIC_PATHS = {"/livez", "/readyz", "/", "/docs"} | {
-    f"/{file.relative_to(WEB).as_posix()}" for file in WEB.rglob("*") if file.suffix in (".css", ".js", ".svg")
-}
-
-
-def rest_calls():
-    """Every call of the OpenAPI document: method, path with ids filled in, and the scopes of which it needs one."""
-    app = create_app(memory_world().use_cases)
-    for path, methods in app.openapi()["paths"].items():
-        for method, call in methods.items():
-            scopes = [scope for way in call.get("security", ()) for scope in way["bearer"]]
-            yield pytest.param(method, re.sub(r"{\w+}", "x1", path), scopes, id=f"{method} {path}")
-
-
-def rpcs():
-    """Every RPC of the proto descriptors."""
-    for call in CALLS.values():
-        service = call.method.containing_service
-        yield pytest.param(service.full_name, call.method, id=f"{service.name}.{call.name}")
 
 
 @pytest.mark.parametrize(("method", "path", "scopes"), list(rest_calls()))

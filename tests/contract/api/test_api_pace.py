@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
-from dataclasses import replace
-
 import grpc
 import httpx
 import pytest
@@ -12,38 +9,8 @@ from grpc_health.v1 import health_pb2, health_pb2_grpc
 
 from revisit import ApiError, Client
 from revisit.sdk.retry import RetryPolicy
-from revisit.service.capacity.call_pace import CallPace
-from revisit.service.capacity.limits import PaceLimits
-from revisit.service.use_cases import UseCases
 from tests.support.credentials import a_key
-from tests.support.live_service import live_service
-from tests.support.service_world import World, memory_world
-
-BURST = 3
-LIMITS = PaceLimits(
-    client_calls_per_s=BURST,
-    tenant_calls_per_s=BURST,
-    refusals_per_s=BURST,
-    public_calls_per_s=BURST,
-    burst=BURST,
-    most_wait_s=1.0,
-)
-
-
-class Line:
-    """Calls that wait are let go at once, and counted; no time passes."""
-
-    def __init__(self):
-        self.waited, self.pace = 0, CallPace(LIMITS, lambda: 0.0, self._wait)
-
-    def start_anew(self):
-        """Nobody has called yet."""
-        self.waited = 0
-        self.pace._rates._buckets.clear()
-
-    async def _wait(self, _seconds):
-        self.waited += 1
-        await asyncio.sleep(0)
+from tests.support.paced import BURST, Line, paced_service
 
 
 @pytest.fixture(scope="module")
@@ -54,9 +21,7 @@ def line():
 @pytest.fixture(scope="module")
 def paced(line):
     """A service with keys, in which no time passes for the pace of calls."""
-    made = memory_world()
-    context = replace(made.context, pace=line.pace)
-    with live_service(World(context, UseCases.over(context, "test"), made.clock)) as running:
+    with paced_service(line) as running:
         yield running
 
 

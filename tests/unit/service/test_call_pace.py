@@ -151,6 +151,17 @@ async def test_strangers_of_one_address_are_refused_at_their_own_pace_and_at_onc
         call.cancel()
 
 
+@pytest.mark.parametrize("kind", ["public", "refusal"])
+async def test_a_stranger_with_a_network_of_ipv6_addresses_has_the_pace_of_one(pace, time, kind):
+    calls = await begun(getattr(pace, kind)(f"2001:db8::{host:x}") for host in range(11))
+    assert [call.done() for call in calls] == [True] * 10 + [False]
+    time.waits.clear()
+    await getattr(pace, kind)("2001:db8:0:1::1")
+    assert not time.waits
+    for call in calls:
+        call.cancel()
+
+
 async def test_callers_that_have_not_called_for_long_are_forgotten(pace, monkeypatch):
     monkeypatch.setattr(pace._rates._buckets, "most", 20)
     for number in range(100):

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import pytest
 
+from revisit.service.capacity.addresses import holder_of
 from revisit.service.capacity.limits import KNOWN_S, ArrivalRates
-from revisit.service.edge.connections import Shown, UnauthenticatedConnections, holder_of
+from revisit.service.edge.connections import Shown, UnauthenticatedConnections
 
 
 @pytest.fixture
