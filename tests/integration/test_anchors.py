@@ -19,8 +19,9 @@ from revisit.service.domain.states import AnchorFrame, AnchorKind
 from revisit.service.features.anchors.rules import DrivePoses, NewAnchor
 from revisit.service.features.graph.anchor_verdicts import anchor_verdicts, frames_on_earth
 from revisit.service.features.graph.session_poses import PackedSubmaps
+from revisit.service.features.merging.calls import MergeMap
 from revisit.service.features.resources.paging import PageRequest
-from tests.support.fleet_in_service import fleet_in
+from tests.support.fleet_in_service import fleet_in, fleet_in_two
 from tests.support.live_service import connected, live_service
 from tests.support.made_up_anchors import MAST, fixes
 from tests.support.service_world import TENANT, memory_world, sqlite_world
@@ -151,11 +152,32 @@ async def test_a_deleted_session_leaves_no_verdict_on_its_anchors(world):
     assert world.context.transactions.read(lambda uow: uow.everything.anchors.count(TENANT)).result() == 0
 
 
-def with_stamps(world) -> None:
-    """Each submap of the fleet has a time of its own."""
+async def test_a_merge_leaves_a_map_on_earth_and_brings_the_anchors_of_the_other():
+    world = memory_world()
+    made = fleet_in_two(world, ("town", "annex"), seed=4, sessions=2, submaps=60, per_pair=0).fleet
+    for map_id, session in (("town", "s0"), ("annex", "s1")):
+        with_stamps(world, map_id)
+        await world.use_cases.anchors.post(TENANT, SessionKey(map_id, session), new_anchors(made, session))
+    alone = await optimised(world)
+    await world.use_cases.map_merges.merge(TENANT, MergeMap("town", "annex"))
+    world.work_off()
+    assert [one.sessions for one in rows(world, "map_merges")] == [("s1",)]
+    versions = rows(world, "map_versions")
+    held = [one.summary["georeferences"][0] for one in versions]
+    assert [one["frame"] for one in held] == [alone.summary["georeferences"][0]["frame"]] * len(held)
+    assert [one["of_anchors"] for one in held[:2]] == [60, 60]
+    assert versions[1].summary["sessions"] == 2
+    after = await optimised(world)
+    (found,) = after.summary["georeferences"]
+    assert (found["anchors"], found["of_anchors"]) == (96, 120)
+    assert error_m(world, made, after) < 1.0
+
+
+def with_stamps(world, map_id: str = "town") -> None:
+    """Each submap of a map has a time of its own."""
 
     def stamp(uow) -> None:
-        for one in uow.submaps.find(TENANT, map_id="town"):
+        for one in uow.submaps.find(TENANT, map_id=map_id):
             uow.submaps.replace(replace(one, stamp_ns=1_000 * one.ordinal))
 
     world.context.transactions.write(stamp).result()
