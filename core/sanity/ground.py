@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from revisit.core.geometry import se3
+from revisit.core.geometry.upright import UpAxis, estimate_up
 from revisit.core.geometry.voxel_keys import first_rows, voxel_keys
 from revisit.core.sanity.finding import Finding
 from revisit.core.sanity.numbers import MIN_SCENE_M
@@ -18,6 +19,9 @@ Array = NDArray[np.float64]
 PlaneScores = Callable[[Array, Array, Array, float, float], Array]
 
 MAX_TILT_COSINE = 0.94
+
+LEAST_LEAN_RAD, SAME_LEAN_RAD = float(np.radians(10.0)), float(np.radians(3.0))
+"""The least tilt of all surfaces that is told: steeper roads are rare. And by how much two scans may differ in it."""
 
 
 @dataclass(frozen=True)
@@ -114,7 +118,7 @@ def check_gravity(scans: Sequence[Scan], scores_of: PlaneScores = scores_of_plan
     known = [(scan, plane) for scan, plane in zip(scans, planes, strict=True) if plane is not None]
     tilted = [plane for _, plane in known if not plane.upright]
     if len(known) < max(2, len(scans) // 3) or len(tilted) < 0.7 * len(known):
-        return []
+        return _leaning(scans)
     heights = np.median([plane.height_m for plane in tilted])
     tilts = [np.degrees(np.arccos(np.clip(plane.normal[2], -1.0, 1.0))) for plane in tilted]
     measured = f"the ground, {heights:.2g} m away, is tilted by {np.median(tilts):.0f} degrees"
@@ -123,6 +127,22 @@ def check_gravity(scans: Sequence[Scan], scores_of: PlaneScores = scores_of_plan
         cause, advice = "the quaternions are in the order w, x, y, z", "give them as x, y, z, w"
         return [Finding("quaternion_order", measured, cause, advice)]
     return [Finding("ground_tilted", measured, *_why_tilted(np.median([plane.normal for plane in tilted], axis=0)))]
+
+
+def _leaning(scans: Sequence[Scan]) -> list[Finding]:
+    """Whether the surfaces of the first and the last scan have one vertical, and that is not z of the odometry."""
+    first: UpAxis | None = None
+    for scan in (scans[0], scans[-1]) if len(scans) > 1 else ():
+        up = estimate_up(sample_of(scan.points) @ scan.T_odom_sensor[:3, :3].T)
+        if up is None or up.tilt_rad < LEAST_LEAN_RAD or (first and first.up @ up.up < np.cos(SAME_LEAN_RAD)):
+            return []
+        first = up
+    if first is None:
+        return []
+    measured = f"ground and walls are tilted by {np.degrees(first.tilt_rad):.0f} degrees"
+    cause = "z of the odometry's frame does not point up: a sensor mounted askew, or an odometry that began on a slope"
+    advice = "give T_odom_sensor with z up: beyond 15 degrees beside other sessions no pair is a loop"
+    return [Finding("ground_tilted", measured, cause, advice)]
 
 
 def _why_tilted(normal: Array) -> tuple[str, str]:

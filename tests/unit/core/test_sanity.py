@@ -221,6 +221,17 @@ def test_a_slope_and_a_tilted_sensor_are_no_mistakes(drive: Drive) -> None:
     assert inspect_recording(replace(drive, poses=[slope @ pose for pose in drive.poses])).findings == ()
 
 
+@pytest.mark.parametrize("degrees", [11.0, 17.0, 25.0])
+def test_an_odometry_whose_z_leans_is_told(drive: Drive, degrees: float) -> None:
+    """Of 17 degrees no pair with an upright session is a loop, and the plane under a sensor counts as level."""
+    lean = se3.exp([0, 0, 0, np.radians(degrees), 0.0, 0.0])
+    leaning = replace(drive, poses=[lean @ pose for pose in drive.poses])
+    (finding,) = window_findings(list(leaning))
+    assert finding.code == "ground_tilted"
+    (told,) = [int(word) for word in finding.measured.split() if word.isdigit()]
+    assert told == pytest.approx(degrees, abs=1.0)
+
+
 def test_a_submap_is_flagged_where_its_ground_is_tilted_or_its_scene_too_small(drive: Drive) -> None:
     cloud = drive.clouds[0]
     assert place_flags(cloud) == ()
