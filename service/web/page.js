@@ -2,14 +2,19 @@
 "use strict";
 
 import { KeyNeeded, Refused, hasKey, read, readAll, useKey } from "/api.js";
+import { colouring } from "/colouring.js";
 import { sessionColour } from "/colours.js";
 import { byId, element, lastOf, plural, press, sessionOf, shortName, soon } from "/dom.js";
 import { Watch } from "/events.js";
+import { connectExports, saveSubmap } from "/exports.js";
 import { inverse, mainFrame, matrixOf, placements, product } from "/frames.js";
 import { listen } from "/keyboard.js";
+import { nearMisses } from "/nearmisses.js";
 import { PairView } from "/pair.js";
 import { actionsOf } from "/review.js";
 import { MapView, roundMetres } from "/scene.js";
+import { Tools, inWords } from "/tools.js";
+import { Versions } from "/versions.js";
 import { faultOf, stateOf, titleOf, verdictOf } from "/words.js";
 
 const STATUS_EVERY_MS = 5000;
@@ -33,11 +38,14 @@ const model = {
   rejectedRead: false,
   selected: null,
   corrected: 1,
+  colourBy: "session",
   status: null,
 };
 
 let view = null;
 let watch = null;
+let tools = null;
+let versions = null;
 const pair = new PairView({ onStep: stepPair, onClose: () => select(model.selected), actionsOf: (loop) => actionsOf(loop, taken) });
 
 // ---------------------------------------------------------------------------------------------- reading
@@ -57,6 +65,8 @@ async function openMap(name) {
 
 function forgetMap() {
   watch?.stop();
+  versions?.clear();
+  tools?.use("none");
   Object.assign(model, { map: null, missing: "", rejectedRead: false, selected: null, listed: LISTED_AT_ONCE, faults: [] });
   for (const held of [model.sessions, model.submaps, model.loops, model.operations, model.hidden]) held.clear();
 }
@@ -78,7 +88,7 @@ async function readMap() {
   for (const submap of tracks.flat()) model.submaps.set(submap.name, submap);
   for (const loop of [...accepted, ...ambiguous, ...proposed]) model.loops.set(loop.name, loop);
   for (const operation of [...running, ...failed]) if (ofMap(operation)) model.operations.set(operation.name, operation);
-  await Promise.all([readWhyNoLoops(), readFaults()]);
+  await Promise.all([readWhyNoLoops(), readFaults(), versions.show(name)]);
   if (model.states.has("rejected")) await readRejected();
 }
 
@@ -199,12 +209,31 @@ function renderStage(loops, refit) {
       frame: model.frame,
       corrected: model.corrected,
       faults: model.faults,
+      colouringOf: colouringNow,
     });
     renderFaults();
+    tellLegend(view.colouring);
   }
   Object.assign(document.body.dataset, { submaps, drawnSubmaps: view?.places.size ?? 0, drawnLoops: view?.drawnLoops ?? 0, listedLoops: loops.length });
   tellCaption(every, drawn);
   tellEmpty(submaps);
+}
+
+/** The colouring that is asked for; the same object as long as it says the same, so that clouds are not made anew. */
+function colouringNow() {
+  const submaps = [...view.places.values()].map(({ submap }) => submap);
+  if (!submaps.length) return null;
+  const made = colouring(model.colourBy, submaps, [...model.loops.values()], model.frame, (name) => view.heightOf(name));
+  const said = made && JSON.stringify([model.colourBy, made.low, made.high, submaps.length]);
+  if (said !== model.colouredAs) Object.assign(model, { colouredAs: said, colouring: made });
+  return model.colouring ?? null;
+}
+
+function tellLegend(shown) {
+  byId("legend").hidden = !shown;
+  if (!shown) return;
+  byId("legend").title = shown.title;
+  [byId("legend-low").textContent, byId("legend-high").textContent] = shown.legend;
 }
 
 /** A word at each fault of odometry that is drawn; it moves with the camera. */
@@ -434,9 +463,26 @@ function showCard(submap) {
   byId("card").replaceChildren(
     element("header", {}, element("h2", {}, shortName(submap.name)), element("button", { type: "button", class: "link", onclick: () => select(null) }, "close")),
     element("dl", {}, ...rows.flatMap(([term, value]) => [element("dt", {}, term), element("dd", {}, value)])),
+    submap.state === "DESCRIBED" && element("p", { class: "buttons" }, ...["ply", "glb"].map((format) => element("button", { type: "button", title: format === "ply" ? "Its points" : "Its surface", onclick: saveAs(submap.name, format) }, format.toUpperCase())), element("button", { type: "button", id: "explain", onclick: () => explain(submap.name) }, "Why no more?")),
     element("h3", {}, loops.length ? plural(loops.length, "loop closure") : "No accepted loop closure"),
     element("ul", { class: "loops" }, ...loops.slice(0, 12).map(loopRow)),
+    element("h3", { id: "missed-title", hidden: true }, "Came near"),
+    element("ul", { class: "loops", id: "missed" }),
   );
+}
+
+const saveAs = (submap, format) => async ({ target }) => {
+  target.disabled = true;
+  await saveSubmap(submap, format).catch((error) => showBanner(inWords(error)));
+  target.disabled = false;
+};
+
+/** The pairs of a submap that came nearest to a loop closure, and what stopped each. */
+async function explain(submap) {
+  byId("missed-title").hidden = false;
+  byId("missed").replaceChildren(element("li", { class: "nothing" }, "asking"));
+  await readRejected().catch(tellError);
+  byId("missed")?.replaceChildren(...nearMisses(submap, [...model.loops.values()], openPair));
 }
 
 /** Where the frames that are drawn put the query in the match's frame, before this loop closure; null where they do not. */
@@ -476,6 +522,13 @@ function taken(loop) {
   if (pair.isOpen && model.selected?.loop === loop.name) openPair(loop.name);
 }
 
+/** A loop closure was made by hand: show it; the worker's verdict comes as an event. */
+function joined(loop) {
+  model.loops.set(loop.name, loop);
+  render();
+  select({ loop: loop.name });
+}
+
 // ---------------------------------------------------------------------------------------------- commands
 
 function setStates(state) {
@@ -491,9 +544,10 @@ function setSearch(text) {
   renderSoon();
 }
 
-/** Close what was chosen; where nothing is, end the search. */
+/** Put the tool away, or close what was chosen; where nothing is, end the search. */
 function stepBack() {
-  if (model.selected) select(null);
+  if (tools?.isOn) tools.use("none");
+  else if (model.selected) select(null);
   else setSearch("");
 }
 
@@ -549,6 +603,8 @@ listen(
     [["o"], "odometry, or the frame of the map", () => model.frame !== null && setFrames(model.corrected > 0.5 ? "before" : "after")],
     [["s"], "points of the submaps", () => toggle("points", "none")],
     [["m"], "surfaces of the submaps", () => toggle("mesh", "none")],
+    [["e"], "measure between two points", () => tools?.use(tools.tool === "measure" ? "none" : "measure")],
+    [["l"], "join two submaps by hand", () => tools?.use(tools.tool === "join" ? "none" : "join")],
     [["1"], "accepted loop closures", () => setStates("accepted")],
     [["2"], "ambiguous loop closures", () => setStates("ambiguous")],
     [["3"], "rejected loop closures", () => setStates("rejected")],
@@ -679,6 +735,11 @@ function connect() {
   byId("camera").addEventListener("click", ({ target }) => target.dataset.view && setView(target.dataset.view));
   byId("frames").addEventListener("click", ({ target }) => target.dataset.frames && setFrames(target.dataset.frames));
   byId("lift").addEventListener("input", renderSoon);
+  byId("colour-by").addEventListener("change", ({ target }) => {
+    model.colourBy = target.value;
+    render();
+  });
+  connectExports(() => ({ map: model.map, submaps: [...model.submaps.values()], loops: visibleLoops(), frame: model.frame }));
   byId("theme").addEventListener("click", switchTheme);
   byId("keys").addEventListener("click", () => byId("help").showModal());
   window.matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => view?.retint());
@@ -698,6 +759,7 @@ function connectStage() {
   // Not earlier: the click that ends a touch would go to the card that appears under the finger.
   canvas.addEventListener("click", (event) => {
     if (!still) return;
+    if (tools.isOn) return tools.take(event.offsetX, event.offsetY);
     const found = view.nearest(event.offsetX, event.offsetY);
     if (found?.loop) openPair(found.loop.name);
     else select(found ? { submap: found.submap.name } : null);
@@ -731,7 +793,10 @@ try {
   connectStage();
 } catch {
   byId("view").hidden = true;
+  byId("tools").hidden = true;
 }
+versions = new Versions({ view, onChanged: () => readMap().then(renderSoon, tellError) });
+tools = new Tools({ view, mapName: () => model.map, onJoined: joined });
 connect();
 run();
 

@@ -9,6 +9,7 @@ import { LineMaterial } from "/vendor/three-0.187.0/LineMaterial.js";
 import { LineSegments2 } from "/vendor/three-0.187.0/LineSegments2.js";
 import { LineSegmentsGeometry } from "/vendor/three-0.187.0/LineSegmentsGeometry.js";
 import { forgetWaiting, geometryOf } from "/clouds.js";
+import { RAMP } from "/colouring.js";
 import { themed } from "/colours.js";
 import { between, matrixOf, product } from "/frames.js";
 
@@ -73,10 +74,12 @@ export class MapView {
     this.loops = new THREE.Group();
     this.surfaces = new THREE.Group();
     this.marks = new THREE.Group();
+    this.rulers = new THREE.Group();
+    this.changes = new THREE.Group();
     this.dots = null;
     this.faultMarks = [];
     this.grid = null;
-    this.scene.add(this.surfaces, this.paths, this.loops, this.marks);
+    this.scene.add(this.surfaces, this.paths, this.loops, this.changes, this.marks, this.rulers);
     this.scene.add(new THREE.HemisphereLight("#ffffff", "#66727e", 1.5));
     this.sun = new THREE.DirectionalLight("#ffffff", 1.5);
     this.sun.position.set(0.9, -1.2, 0.9);
@@ -84,6 +87,7 @@ export class MapView {
     this.map = { tracks: [], loops: [], faults: [] };
     this.places = new Map();
     this.surface = "none";
+    this.colouring = null;
     this.asked = 0;
     new ResizeObserver(() => this.resize()).observe(canvas);
     this.resize();
@@ -92,12 +96,16 @@ export class MapView {
   /**
    * `tracks` is [{ name, colour, submaps, T_drawing_odom }] of the visible sessions; `loops` [{ loop, state }]; `lift` in
    * metres a submap; `frame` is that of the map in which submaps are drawn, null for none, and `corrected` 0..1 how far
-   * they are there, on the way from where odometry has them. `faults` are those of odometry.
+   * they are there, on the way from where odometry has them. `faults` are those of odometry. `colouringOf` makes the
+   * colouring (colouring.js) of where submaps are, null for the colours of the sessions.
    */
-  show({ tracks, loops, lift, frame = null, corrected = 1, faults = [] }) {
+  show({ tracks, loops, lift, frame = null, corrected = 1, faults = [], colouringOf = () => null }) {
     const first = !this.places.size;
     this.map = { tracks, loops, faults };
     this.place(lift, frame, corrected);
+    const before = this.colouring;
+    this.colouring = colouringOf();
+    if (before !== this.colouring) clear(this.surfaces, false);
     this.drawPaths();
     this.drawLoops();
     this.drawGrid();
@@ -117,10 +125,20 @@ export class MapView {
         const pose = known ? between(driven, matrixOf(submap.t_map_submap), corrected) : driven;
         const raised = new THREE.Matrix4().makeTranslation(0, 0, floor + lift * index).multiply(pose);
         const at = new THREE.Vector3().setFromMatrixPosition(raised);
-        this.places.set(submap.name, { submap, track, matrix: raised, at });
+        this.places.set(submap.name, { submap, track, matrix: raised, at, height: pose.elements[14] });
       });
       floor += lift * (track.submaps.length + 4);
     }
+  }
+
+  /** The colour of a submap that is drawn. */
+  tintOf({ submap, track }) {
+    return this.colouring ? this.colouring.colourOf(submap.name) : track.colour;
+  }
+
+  /** How high a submap lies, without the lift, metres. */
+  heightOf(name) {
+    return this.places.get(name)?.height;
   }
 
   drawPaths() {
@@ -128,12 +146,12 @@ export class MapView {
     const points = [...this.places.values()];
     for (const track of this.map.tracks) {
       const line = track.submaps.flatMap((submap) => this.places.get(submap.name).at.toArray());
-      if (line.length >= 6) this.paths.add(this.line(new LineGeometry().setPositions(line), track.colour, 2.6));
+      if (line.length >= 6) this.paths.add(this.line(new LineGeometry().setPositions(line), this.colouring ? themed("--faint") : track.colour, this.colouring ? 1.2 : 2.6));
     }
     this.drawFaults();
     const small = points.length > 600 ? 8 : points.length > 200 ? 10 : 12;
     const geometry = new THREE.BufferGeometry();
-    const tints = points.map(({ submap, track }) => (submap.state === "FAILED" ? new THREE.Color(themed("--failed")) : new THREE.Color(track.colour)));
+    const tints = points.map((place) => new THREE.Color(place.submap.state === "FAILED" ? themed("--failed") : this.tintOf(place)));
     geometry.setAttribute("position", floats(points.flatMap(({ at }) => at.toArray()), 3));
     geometry.setAttribute("tint", floats(tints.flatMap((tint) => tint.toArray()), 3));
     geometry.setAttribute("shape", floats(points.map(({ submap }) => SHAPES[submap.state] ?? 0), 1));
@@ -229,23 +247,26 @@ export class MapView {
     return box;
   }
 
+  /** Rings of so many pixels at points. */
+  rings(at, pixels) {
+    const uniforms = { pixels: { value: this.renderer.getPixelRatio() }, paper: { value: new THREE.Color(themed("--stage")) } };
+    const geometry = new THREE.BufferGeometry();
+    const tint = new THREE.Color(themed("--mark"));
+    geometry.setAttribute("position", floats(at.flatMap((point) => point.toArray()), 3));
+    geometry.setAttribute("tint", floats(at.flatMap(() => tint.toArray()), 3));
+    geometry.setAttribute("shape", floats(at.map(() => 1), 1));
+    geometry.setAttribute("size", floats(at.map(() => pixels), 1));
+    const rings = new THREE.Points(geometry, new THREE.ShaderMaterial({ ...DOTS, fragmentShader: RING, uniforms, transparent: true, depthTest: false }));
+    rings.renderOrder = 5;
+    rings.frustumCulled = false;
+    return rings;
+  }
+
   /** Mark what is selected: the names of submaps, and a loop closure between two of them. */
   mark(names, loop = null) {
     clear(this.marks);
     const at = names.map((name) => this.places.get(name)?.at).filter(Boolean);
-    const uniforms = { pixels: { value: this.renderer.getPixelRatio() }, paper: { value: new THREE.Color(themed("--stage")) } };
-    if (at.length) {
-      const geometry = new THREE.BufferGeometry();
-      const tint = new THREE.Color(themed("--mark"));
-      geometry.setAttribute("position", floats(at.flatMap((point) => point.toArray()), 3));
-      geometry.setAttribute("tint", floats(at.flatMap(() => tint.toArray()), 3));
-      geometry.setAttribute("shape", floats(at.map(() => 1), 1));
-      geometry.setAttribute("size", floats(at.map(() => 24), 1));
-      const rings = new THREE.Points(geometry, new THREE.ShaderMaterial({ ...DOTS, fragmentShader: RING, uniforms, transparent: true, depthTest: false }));
-      rings.renderOrder = 5;
-      rings.frustumCulled = false;
-      this.marks.add(rings);
-    }
+    if (at.length) this.marks.add(this.rings(at, 24));
     if (loop && at.length === 2) {
       const line = this.line(new LineGeometry().setPositions(at.flatMap((point) => point.toArray())), themed("--mark"), 4);
       line.renderOrder = 4;
@@ -279,12 +300,70 @@ export class MapView {
     const now = this.places.get(place.submap.name);
     if (!geometry || asked > this.asked || this.surface !== kind || !now) return;
     if (this.surfaces.children.some((shown) => shown.name === place.submap.name)) return;
-    const shown = kind === "mesh" ? new THREE.Mesh(geometry, surfaceMaterial(now.track.colour)) : new THREE.Points(geometry, pointsMaterial(now.track.colour, 1.4 * this.renderer.getPixelRatio(), geometry.userData.heights));
+    const tint = this.tintOf(now);
+    const shown = kind === "mesh" ? new THREE.Mesh(geometry, surfaceMaterial(tint)) : new THREE.Points(geometry, this.pointsOf(now, tint, geometry));
     shown.name = place.submap.name;
     shown.matrixAutoUpdate = false;
     shown.matrix.copy(now.matrix);
     this.surfaces.add(shown);
     this.draw();
+  }
+
+  /** The material of a submap's points; by height they have the whole ramp, each point for itself. */
+  pointsOf(place, tint, geometry) {
+    const size = 1.4 * this.renderer.getPixelRatio();
+    if (!this.colouring?.byHeight) return pointsMaterial(tint, size, geometry.userData.heights);
+    const [low, high] = geometry.userData.heights;
+    const { elements: e } = place.matrix;
+    return rampMaterial(size, [low + e[14], high + e[14]]);
+  }
+
+  /** What is under a point of the canvas: of the points or the surface, else a submap, else the ground; null for nothing. */
+  pick(x, y) {
+    const caster = new THREE.Raycaster();
+    caster.params.Points.threshold = this.metresOf(5);
+    caster.setFromCamera(new THREE.Vector2((2 * x) / this.canvas.clientWidth - 1, 1 - (2 * y) / this.canvas.clientHeight), this.camera);
+    for (const shown of this.surfaces.children) shown.updateMatrixWorld();
+    const [hit] = caster.intersectObjects(this.surfaces.children, false);
+    if (hit) return hit.point.clone();
+    const near = this.nearest(x, y)?.submap;
+    if (near) return this.places.get(near.name).at.clone();
+    const ground = new THREE.Plane(new THREE.Vector3(0, 0, 1), -(this.extent().min.z || 0));
+    return caster.ray.intersectPlane(ground, new THREE.Vector3());
+  }
+
+  /** Draw a ruler through points, or take it away. */
+  measure(points) {
+    clear(this.rulers);
+    if (points.length) this.rulers.add(this.rings(points, 14));
+    if (points.length === 2) {
+      const line = this.line(new LineGeometry().setPositions(points.flatMap((at) => at.toArray())), themed("--mark"), 3);
+      line.renderOrder = 6;
+      this.rulers.add(line);
+    }
+    this.draw();
+  }
+
+  /** Draw how submaps moved: `moves` is [{ name, from, to }] in the frame of the map. */
+  showChanges(moves) {
+    clear(this.changes);
+    const drawn = moves.filter(({ name }) => this.places.has(name));
+    if (drawn.length) {
+      const positions = drawn.flatMap(({ from, to }) => [from.x, from.y, from.z, to.x, to.y, to.z]);
+      const material = this.material(themed("--mark"), 3);
+      material.depthTest = false;
+      const lines = new LineSegments2(new LineSegmentsGeometry().setPositions(positions), material);
+      lines.renderOrder = 4;
+      this.changes.add(lines, this.rings(drawn.map(({ from }) => new THREE.Vector3(from.x, from.y, from.z)), 9));
+    }
+    this.draw();
+  }
+
+  /** T_target_source of two submaps as they are drawn: x,y,z,qx,qy,qz,qw. */
+  relative(target, source) {
+    const [t, q, s] = [new THREE.Vector3(), new THREE.Quaternion(), new THREE.Vector3()];
+    product(this.places.get(target).matrix.clone().invert(), this.places.get(source).matrix).decompose(t, q, s);
+    return [...t.toArray(), ...q.toArray()].join(",");
   }
 
   nearestTo(point) {
@@ -376,7 +455,7 @@ export class MapView {
     this.renderer.setClearColor(themed("--stage"));
     this.camera.aspect = width / height;
     this.camera.updateProjectionMatrix();
-    for (const group of [this.paths, this.loops, this.marks]) {
+    for (const group of [this.paths, this.loops, this.marks, this.rulers, this.changes]) {
       for (const { material } of group.children) material.resolution?.set(width, height);
     }
     this.paint();
@@ -418,6 +497,24 @@ export function pointsMaterial(colour, size, [low, high]) {
   };
   return new THREE.ShaderMaterial({ ...CLOUD, uniforms });
 }
+
+/** Points by their height in the drawing, over the whole ramp. */
+function rampMaterial(size, [low, high]) {
+  const uniforms = { size: { value: size }, low: { value: low }, high: { value: Math.max(high, low + 0.5) }, stops: { value: RAMP.map((stop) => new THREE.Color(stop)) } };
+  return new THREE.ShaderMaterial({ ...CLOUD, vertexShader: BY_HEIGHT, uniforms });
+}
+
+const BY_HEIGHT = `
+  uniform float size, low, high; uniform vec3 stops[5];
+  varying vec3 vTint;
+  void main() {
+    vec4 at = modelMatrix * vec4(position, 1.0);
+    float share = clamp((at.z - low) / (high - low), 0.0, 1.0) * 4.0;
+    vTint = stops[0];
+    for (int stop = 0; stop < 4; stop++) vTint = mix(vTint, stops[stop + 1], clamp(share - float(stop), 0.0, 1.0));
+    gl_Position = projectionMatrix * viewMatrix * at;
+    gl_PointSize = size;
+  }`;
 
 const CLOUD = {
   vertexShader: `

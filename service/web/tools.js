@@ -1,0 +1,93 @@
+// What a click on the map does beside choosing: measure between two points, and join two submaps by hand.
+"use strict";
+
+import { KeyNeeded, Refused, send } from "/api.js";
+import { byId, element, press, shortName } from "/dom.js";
+
+const SAID = { measure: "Click two points", join: "Click two submaps that show the same place" };
+
+const metres = (length) => (length < 10 ? `${length.toFixed(2)} m` : `${length.toFixed(1)} m`);
+
+/** One tool at a time. `view` is the MapView, `mapName()` the map that is shown, `onJoined` hears of the loop closure. */
+export class Tools {
+  constructor({ view, mapName, onJoined }) {
+    Object.assign(this, { view, mapName, onJoined, tool: "none", points: [], ends: [] });
+    byId("tools").addEventListener("click", ({ target }) => target.dataset.tool && this.use(this.tool === target.dataset.tool ? "none" : target.dataset.tool));
+  }
+
+  get isOn() {
+    return this.tool !== "none";
+  }
+
+  use(tool) {
+    Object.assign(this, { tool, points: [], ends: [] });
+    press(byId("tools"), "tool", tool);
+    document.body.dataset.tool = tool;
+    this.view?.measure([]);
+    this.view?.mark([]);
+    this.say(SAID[tool]);
+  }
+
+  /** A click at a point of the canvas, in CSS pixels. */
+  take(x, y) {
+    if (this.tool === "measure") this.takePoint(this.view.pick(x, y));
+    else if (this.tool === "join") this.takeSubmap(this.view.nearest(x, y)?.submap);
+  }
+
+  takePoint(at) {
+    if (!at) return;
+    this.points = this.points.length === 2 ? [at] : [...this.points, at];
+    this.view.measure(this.points);
+    if (this.points.length < 2) return this.say("Click the second point");
+    const [a, b] = this.points;
+    const level = Math.hypot(b.x - a.x, b.y - a.y);
+    document.body.dataset.measured = a.distanceTo(b).toFixed(3);
+    this.say(`${metres(a.distanceTo(b))}: ${metres(level)} level, ${metres(Math.abs(b.z - a.z))} ${b.z < a.z ? "down" : "up"}`);
+  }
+
+  takeSubmap(submap) {
+    if (!submap || this.ends.some(({ name }) => name === submap.name)) return;
+    this.ends = this.ends.length === 2 ? [submap] : [...this.ends, submap];
+    this.view.mark(this.ends.map(({ name }) => name), this.ends.length === 2 ? {} : null);
+    if (this.ends.length < 2) return this.say(`${shortName(submap.name)}, and the second submap?`);
+    this.ask(...this.ends);
+  }
+
+  /** The two submaps, and what to do with them. */
+  ask(query, match) {
+    const note = element("input", { type: "text", placeholder: "Why? (noted with your decision)", maxlength: 256, "aria-label": "Why" });
+    const near = element("input", { type: "checkbox", id: "as-drawn" });
+    const said = element("p", { role: "alert" });
+    const join = element("button", { type: "button" }, "Join them");
+    join.addEventListener("click", async () => {
+      join.disabled = true;
+      said.textContent = "";
+      try {
+        const guess = near.checked ? { T_match_query: this.view.relative(match.name, query.name) } : {};
+        const answer = await send(`/v1/${this.mapName()}/loopClosures`, { query: query.name, match: match.name, note: note.value, ...guess });
+        this.use("none");
+        this.onJoined(answer.loop_closure);
+      } catch (error) {
+        said.textContent = inWords(error);
+        join.disabled = false;
+      }
+    });
+    this.say(
+      element("strong", {}, `${shortName(query.name)} \u2192 ${shortName(match.name)}`),
+      element("label", { for: "as-drawn" }, near, " begin where they are drawn"),
+      element("div", { class: "actions" }, note, join, element("button", { type: "button", class: "plain", onclick: () => this.use("none") }, "Leave it"), said),
+    );
+  }
+
+  say(...what) {
+    const told = what.filter(Boolean);
+    byId("told").hidden = !told.length;
+    byId("told").replaceChildren(...told);
+  }
+}
+
+export function inWords(error) {
+  if (error instanceof KeyNeeded) return "An API key is needed";
+  if (error instanceof Refused && error.status === 403) return "This key may look, but not change the map: that needs the scope admin.";
+  return error.message;
+}
