@@ -12,7 +12,7 @@ setup(
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),
         (f"share/{NAME}/launch", ["launch/bridge.launch.py"]),
-        (f"share/{NAME}/config", ["config/bridge.yaml"]),
+        (f"share/{NAME}/config", ["config/bridge.yaml", "config/bridge.rviz"]),
     ],
     install_requires=["setuptools"],
     zip_safe=True,

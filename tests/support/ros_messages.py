@@ -14,7 +14,8 @@ _STANDARD = (
     "geometry_msgs/msg/Quaternion", "geometry_msgs/msg/Pose", "geometry_msgs/msg/PoseWithCovariance",
     "geometry_msgs/msg/PoseWithCovarianceStamped",
     "geometry_msgs/msg/Transform", "geometry_msgs/msg/TransformStamped", "diagnostic_msgs/msg/KeyValue",
-    "diagnostic_msgs/msg/DiagnosticStatus", "diagnostic_msgs/msg/DiagnosticArray",
+    "diagnostic_msgs/msg/DiagnosticStatus", "diagnostic_msgs/msg/DiagnosticArray", "nav_msgs/msg/MapMetaData",
+    "nav_msgs/msg/OccupancyGrid",
 )  # fmt: skip
 OWN = ("LoopClosure", "PoseGraphNode", "PoseGraph")
 

@@ -16,18 +16,26 @@ def generate_launch_description() -> LaunchDescription:
     config = Path(get_package_share_directory("revisit_bridge")) / "config" / "bridge.yaml"
     given = [DeclareLaunchArgument(name, default_value="", description="as the file says") for name in OFTEN_SET]
     file = DeclareLaunchArgument("params_file", default_value=str(config))
-    return LaunchDescription([*given, file, OpaqueFunction(function=_nodes)])
+    grid = DeclareLaunchArgument("grid_m", default_value="", description="metres of a cell of the map; 0: none")
+    rviz = DeclareLaunchArgument("rviz", default_value="false", description="also start RViz with config/bridge.rviz")
+    return LaunchDescription([*given, grid, file, rviz, OpaqueFunction(function=_nodes)])
 
 
 def _nodes(context: LaunchContext) -> list[Node]:
     values = {name: LaunchConfiguration(name).perform(context) for name in OFTEN_SET}
-    file = LaunchConfiguration("params_file").perform(context)
-    return [
-        Node(
-            package="revisit_bridge",
-            executable="bridge",
-            name="revisit_bridge",
-            output="screen",
-            parameters=[file, {name: value for name, value in values.items() if value}],
-        )
-    ]
+    file, grid = (LaunchConfiguration(name).perform(context) for name in ("params_file", "grid_m"))
+    own = {name: value for name, value in values.items() if value} | ({"grid_m": float(grid)} if grid else {})
+    bridge = Node(
+        package="revisit_bridge",
+        executable="bridge",
+        name="revisit_bridge",
+        output="screen",
+        parameters=[file, own],
+    )
+    return [bridge, _rviz()] if LaunchConfiguration("rviz").perform(context) == "true" else [bridge]
+
+
+def _rviz() -> Node:
+    """RViz with the map, the clouds and the frames."""
+    config = Path(get_package_share_directory("revisit_bridge")) / "config" / "bridge.rviz"
+    return Node(package="rviz2", executable="rviz2", name="rviz", arguments=["-d", str(config)])

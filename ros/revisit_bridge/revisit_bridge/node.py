@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import threading
 import time
 from pathlib import Path
 from typing import Any
@@ -20,7 +21,7 @@ from geometry_msgs.msg import (
     TransformStamped,
     Vector3,
 )
-from nav_msgs.msg import Odometry
+from nav_msgs.msg import MapMetaData, OccupancyGrid, Odometry
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.duration import Duration
 from rclpy.executors import ExternalShutdownException
@@ -35,15 +36,18 @@ from tf2_ros import Buffer, TransformBroadcaster, TransformException, TransformL
 
 from revisit.core.geometry import se3
 from revisit.sdk.client import Client
+from revisit.sdk.errors import ApiError
 from revisit.sdk.resources import Relocalisation
 from revisit_bridge.answers import Correction, News, ServiceAnswers
 from revisit_bridge.bridge import Bridge
+from revisit_bridge.map_grid import MapGrids, ServiceMap
 from revisit_bridge.messages import matrix
 from revisit_bridge.outbox import Outbox, ServiceSessions
 from revisit_bridge.pairing import Unknown
 from revisit_bridge.parameters import Parameters
 from revisit_bridge.publishing import (
     MessageTypes,
+    grid_message,
     loop_message,
     pose_graph_message,
     relocalised_message,
@@ -60,6 +64,7 @@ TF_HISTORY_S = 30.0
 TYPES = MessageTypes(
     Time, Header, Point, Vector3, Quaternion, Pose, PoseWithCovariance, PoseWithCovarianceStamped, Transform,
     TransformStamped, LoopClosure, PoseGraphNode, PoseGraph, KeyValue, DiagnosticStatus, DiagnosticArray,
+    MapMetaData, OccupancyGrid,
     DiagnosticStatus.OK, DiagnosticStatus.WARN,
 )  # fmt: skip
 
@@ -81,6 +86,7 @@ class BridgeNode(Node):
         self._correction: Correction | None = None
         self._corrected_session = ""
         self.bridge = self._bridge()
+        self.grids = MapGrids(ServiceMap(self._client, f"maps/{self.parameters.map_id}"), self.parameters.grid_m)
         self._publish()
         self._subscribe()
         self.bridge.start()
@@ -106,15 +112,20 @@ class BridgeNode(Node):
             self.create_subscription(Odometry, own.odometry_topic, self.bridge.take_odometry, qos_profile_sensor_data)
         self.create_service(Trigger, "~/end_session", self._end_session)
         self.create_service(Trigger, "~/relocalise", self._relocalise)
+        self.create_service(Trigger, "~/optimise_map", self._optimise_map)
+        self.create_service(Trigger, "~/save_map", self._save_map)
         self.add_on_set_parameters_callback(self._set)
         self.create_timer(WORK_S, self.bridge.work)
         self.create_timer(PUBLISH_S, self._tell)
         self.create_timer(STATUS_S, self._tell_status)
+        if own.grid_m:
+            self.create_timer(own.grid_every_s, self._follow_map)
 
     def _publish(self) -> None:
         kept = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         self._loops = self.create_publisher(LoopClosure, "~/loop_closures", QoSProfile(depth=100))
         self._graph = self.create_publisher(PoseGraph, "~/pose_graph", kept)
+        self._map = self.create_publisher(OccupancyGrid, "map", kept) if self.parameters.grid_m else None
         self._relocalised = self.create_publisher(PoseWithCovarianceStamped, "~/relocalised", kept)
         self._status = self.create_publisher(DiagnosticArray, "/diagnostics", QoSProfile(depth=1))
 
@@ -132,6 +143,9 @@ class BridgeNode(Node):
             self._tell_news(news)
         for answer in self.bridge.relocalisations():
             self._tell_relocalisation(answer)
+        if self._map is not None and (made := self.grids.news()) is not None:
+            now_ns = self.get_clock().now().nanoseconds
+            self._map.publish(grid_message(TYPES, made, self.parameters.map_frame, now_ns))
         correction = self._correction
         if correction is None or not self.parameters.publish_tf:
             return
@@ -177,6 +191,39 @@ class BridgeNode(Node):
         response.message = "the scans to come are asked about" if response.success else "that is being asked already"
         return response
 
+    def _follow_map(self) -> None:
+        self.grids.follow(self.bridge.outbox.state.session)
+
+    def _optimise_map(self, _: Any, response: Any) -> Any:
+        """Ask for a new version of the map, in a thread: the transform and the grid follow it."""
+        threading.Thread(target=self._ask_to_optimise, name="revisit optimise", daemon=True).start()
+        response.success, response.message = True, "asked for; the log tells the outcome"
+        return response
+
+    def _ask_to_optimise(self) -> None:
+        try:
+            operation = self._client.optimise_map(f"maps/{self.parameters.map_id}")
+        except ApiError as error:
+            self.get_logger().warning(f"no new version of the map: {error.message}")
+        else:
+            self.get_logger().info(f"{operation.name} computes a new version of the map")
+
+    def _save_map(self, _: Any, response: Any) -> Any:
+        """The grid that was published last, as files for map_server."""
+        made, own = self.grids.made, self.parameters
+        if made is None:
+            why = "no version of the map yet" if own.grid_m else "grid_m is 0: no grid is made"
+            response.success, response.message = False, why
+            return response
+        folder = Path(own.map_folder).expanduser() if own.map_folder else Path.home() / ".revisit" / "maps"
+        try:
+            saved = made.save(folder, own.map_id)
+        except OSError as error:
+            response.success, response.message = False, f"{folder}: {error.strerror}"
+            return response
+        response.success, response.message = True, f"version {made.version} in {saved}"
+        return response
+
     def _set(self, parameters: Any) -> Any:
         """The storey can be set while the node runs, its other parameters are read when it starts."""
         values = {parameter.name: parameter.value for parameter in parameters}
@@ -192,6 +239,7 @@ class BridgeNode(Node):
 
     def destroy_node(self) -> None:
         """Stop; scans that are not sent stay on the disk."""
+        self.grids.close()
         self.bridge.close()
         self._client.close()
         super().destroy_node()

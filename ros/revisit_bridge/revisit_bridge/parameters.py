@@ -43,14 +43,21 @@ class Parameters:
     max_speed_m_s: float = _parameter(40.0, "fastest speed of the robot; what is faster is a jump")
     max_gap_s: float = _parameter(10.0, "seconds without scans after which a new session begins")
     poll_s: float = _parameter(5.0, "seconds between two questions for loops and corrections")
+    grid_m: float = _parameter(
+        0.0, "metres of a cell of the map that is published; 0: none is made. Each submap is downloaded once for it"
+    )
+    grid_every_s: float = _parameter(10.0, "seconds between two looks for a new version of the map, with `grid_m`")
+    map_folder: str = _parameter("", "folder that `save_map` writes to; empty: ~/.revisit/maps")
     publish_tf: bool = _parameter(True, "publish `map_frame` -> `odom_frame` once the service has placed the session")
     tf_tolerance_s: float = _parameter(0.5, "seconds that the published transform is dated ahead")
 
     def __post_init__(self) -> None:
         for name in ("spool_max_mb", "pose_wait_s", "max_waiting_clouds", "max_jump_m", "max_speed_m_s", "max_gap_s",
-                     "poll_s"):  # fmt: skip
+                     "poll_s", "grid_every_s"):  # fmt: skip
             if getattr(self, name) <= 0:
                 raise ValueError(f"{name} must be positive, got {getattr(self, name)}")
+        if not 0.0 <= self.grid_m <= 10.0:
+            raise ValueError(f"grid_m must be 0 to 10 metres, got {self.grid_m}")
         for name in ("cloud_topic", "map_id", "robot_id", "odom_frame", "map_frame"):
             if not getattr(self, name):
                 raise ValueError(f"{name} must not be empty")

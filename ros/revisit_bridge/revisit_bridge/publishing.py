@@ -10,8 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from revisit.core.geometry import se3
+from revisit.formats.occupancy_grid import FREE, OCCUPIED
 from revisit.sdk.resources import RelocalisedPose, Submap
 from revisit_bridge.answers import UNMEASURED, Answer, Correction, Loop
+from revisit_bridge.map_grid import MapGrid
 from revisit_bridge.outbox import OutboxState
 
 ODOMETRY_SHARE = 0.01
@@ -38,6 +40,8 @@ class MessageTypes:
     KeyValue: Any
     DiagnosticStatus: Any
     DiagnosticArray: Any
+    MapMetaData: Any
+    OccupancyGrid: Any
     ok: Any
     warning: Any
 
@@ -88,6 +92,19 @@ def pose_graph_message(types: MessageTypes, answer: Answer, odom_frame: str, sta
         odometry_covariance=np.array([_variance(step) for step in _steps(own)], dtype=np.float64),
         loops=[loop_message(types, loop) for loop in answer.loops],
     )
+
+
+def grid_message(types: MessageTypes, made: MapGrid, map_frame: str, stamp_ns: int) -> Any:
+    """nav_msgs/OccupancyGrid: 100 occupied, 0 free, -1 unknown, the rows from the lowest y on."""
+    grid, stamp = made.grid, _time(types, stamp_ns)
+    rows, columns = grid.cells.shape
+    corner = se3.from_yaw(0.0, (*grid.origin, 0.0))
+    values = np.full(grid.cells.shape, -1, dtype=np.int8)
+    values[grid.cells == FREE], values[grid.cells == OCCUPIED] = 0, 100
+    info = types.MapMetaData(
+        map_load_time=stamp, resolution=grid.resolution_m, width=columns, height=rows, origin=_pose(types, corner)
+    )
+    return types.OccupancyGrid(header=_header(types, stamp_ns, map_frame), info=info, data=values[::-1].ravel())
 
 
 def status_message(types: MessageTypes, state: OutboxState, error: str, left_out: int, stamp_ns: int) -> Any:

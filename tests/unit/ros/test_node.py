@@ -12,9 +12,12 @@ import pytest
 pytest.importorskip("rosbags", reason="in the extra `dev`: gives the messages' types")
 
 from revisit_bridge.answers import Answer, Correction, News
+from revisit_bridge.map_grid import MapGrid
 from revisit_bridge.parameters import Parameters
 
 from revisit.core.geometry import se3
+from revisit.formats.occupancy_grid import GridOptions, grid_of
+from tests.support.patience import eventually
 from tests.support.ros_messages import Messages
 from tests.unit.ros.test_bridge_output import loop, submap
 
@@ -204,3 +207,37 @@ def test_what_cannot_be_set_while_the_node_runs_is_refused_with_the_reason(made,
     successful, told = node.set_parameters([SimpleNamespace(name=name, value=value)])
     assert not successful and reason in told
     assert node.set_parameters([SimpleNamespace(name="use_sim_time", value=True)]) == (True, "")
+
+
+def test_no_map_is_published_or_saved_where_none_is_wanted(made) -> None:
+    _, node, _ = made
+    assert "map" not in node.publishers_made
+    answer = node.services["~/save_map"](None, SimpleNamespace())
+    assert not answer.success and "grid_m is 0" in answer.message
+
+
+def test_the_map_is_published_once_a_version_and_saved_on_request(made, monkeypatch, tmp_path) -> None:
+    _, _, _ = made
+    monkeypatch.setattr(FakeNode, "overrides", FakeNode.overrides | {"grid_m": 0.5, "map_folder": str(tmp_path)})
+    node = sys.modules["revisit_bridge.node"].BridgeNode()
+    try:
+        assert node.services["~/save_map"](None, SimpleNamespace()).message == "no version of the map yet"
+        points = np.array([(0.2, 0.2, 0.0), (0.3, 0.2, 1.0), (1.2, 0.2, 0.0)])
+        node.grids._made = MapGrid(7, "frame-1", grid_of(points, GridOptions(resolution_m=0.5)))
+        for _ in range(2):
+            for timer in node.timers:
+                timer()
+        (told,) = node.publishers_made["map"]
+        assert (told.header.frame_id, told.info.width, told.info.height) == ("map", 3, 1)
+        assert told.data.tolist() == [100, -1, 0]
+        answer = node.services["~/save_map"](None, SimpleNamespace())
+        assert answer.success and "version 7" in answer.message
+        assert (tmp_path / "default.pgm").is_file() and "default.pgm" in (tmp_path / "default.yaml").read_text()
+    finally:
+        node.destroy_node()
+
+
+def test_a_version_of_the_map_is_asked_for_and_a_refusal_goes_to_the_log(made) -> None:
+    _, node, _ = made
+    assert node.services["~/optimise_map"](None, SimpleNamespace()).success
+    eventually(lambda: any(line.startswith("no new version of the map") for line in node.logged))

@@ -36,7 +36,17 @@ def test_only_the_node_needs_ros() -> None:
 def test_what_the_node_imports_is_declared() -> None:
     declared = {item.text for item in ET.parse(BRIDGE / "package.xml").getroot().iter("exec_depend")}
     needed = imports(BRIDGE / "revisit_bridge/node.py") | imports(BRIDGE / "launch/bridge.launch.py")
-    python = {"logging", "time", "pathlib", "typing", "__future__", "revisit", "revisit_bridge", "builtin_interfaces"}
+    python = {
+        "logging",
+        "threading",
+        "time",
+        "pathlib",
+        "typing",
+        "__future__",
+        "revisit",
+        "revisit_bridge",
+        "builtin_interfaces",
+    }
     assert needed - python <= declared
 
 
@@ -59,11 +69,23 @@ def test_every_message_is_generated_and_every_file_installed() -> None:
     }
     setup = (BRIDGE / "setup.py").read_text()
     assert all((BRIDGE / name).is_file() for name in ("resource/revisit_bridge", "package.xml", "setup.cfg"))
-    assert all(name in setup for name in ("launch/bridge.launch.py", "config/bridge.yaml"))
+    assert all(name in setup for name in ("launch/bridge.launch.py", "config/bridge.yaml", "config/bridge.rviz"))
+
+
+def test_rviz_shows_topics_that_the_node_has() -> None:
+    told = yaml.safe_load((BRIDGE / "config/bridge.rviz").read_text())["Visualization Manager"]
+    topics = {display["Topic"]["Value"] for display in told["Displays"] if "Topic" in display}
+    readme = (BRIDGE / "README.md").read_text()
+    assert topics == {"/map", "/points", "/revisit_bridge/relocalised"}
+    assert all(f"`{name}`" in readme for name in ("map", "~/relocalised"))
+    assert told["Global Options"]["Fixed Frame"] == Parameters().map_frame
+    assert f"/{Parameters().cloud_topic}" in topics
 
 
 @pytest.mark.parametrize(
-    "wrong", [{"poll_s": 0.0}, {"cloud_topic": ""}, {"map_frame": "odom"}, {"max_gap_s": -1.0}], ids=str
+    "wrong",
+    [{"poll_s": 0.0}, {"cloud_topic": ""}, {"map_frame": "odom"}, {"max_gap_s": -1.0}, {"grid_m": -0.1}],
+    ids=str,
 )
 def test_parameters_that_cannot_be_are_refused(wrong) -> None:
     with pytest.raises(ValueError, match=next(iter(wrong))):

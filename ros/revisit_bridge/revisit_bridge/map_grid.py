@@ -1,0 +1,151 @@
+"""The map as an occupancy grid for navigation: made of the version in force, and anew when there is another one."""
+
+from __future__ import annotations
+
+import logging
+import threading
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from revisit.core.errors import RevisitError
+from revisit.core.geometry import se3
+from revisit.formats import npy
+from revisit.formats.cloud import DEFAULT_LIMITS
+from revisit.formats.occupancy_grid import GridOptions, OccupancyGrid, grid_of
+from revisit.sdk.client import Client
+from revisit.sdk.errors import ApiError
+from revisit.sdk.resources import SubmapPose
+
+log = logging.getLogger("revisit_bridge")
+
+THIN_M = 0.1
+"""Of a submap one point is kept in a cube of this edge."""
+
+
+@dataclass(frozen=True)
+class MapGrid:
+    """The grid of a version of the map, in the frame `frame` of it."""
+
+    version: int
+    frame: str
+    grid: OccupancyGrid
+
+    def save(self, folder: Path, name: str) -> Path:
+        """Write it as `map_server` loads it, NAME.pgm and NAME.yaml; the latter's path."""
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / f"{name}.pgm").write_bytes(self.grid.to_pgm())
+        described = folder / f"{name}.yaml"
+        described.write_text(self.grid.to_yaml(f"{name}.pgm"))
+        return described
+
+
+class MapSource(Protocol):
+    """Where submaps and their poses come from."""
+
+    def version(self) -> int:
+        """The version of the map in force, 0 before the first. Raises ApiError."""
+
+    def poses(self, version: int) -> Sequence[SubmapPose]:
+        """Where a version has its submaps. Raises ApiError."""
+
+    def points(self, submap: str) -> NDArray[np.floating]:
+        """The points (n, 3) of a submap in its own frame. Raises ApiError, MalformedBody."""
+
+
+@dataclass(frozen=True)
+class ServiceMap:
+    """The map of the service, by the SDK."""
+
+    client: Client
+    map_name: str
+
+    def version(self) -> int:
+        """See MapSource."""
+        return next((one.version for one in self.client.versions.list(self.map_name) if one.in_force), 0)
+
+    def poses(self, version: int) -> Sequence[SubmapPose]:
+        """See MapSource."""
+        return self.client.versions.poses(f"{self.map_name}/versions/{version}")
+
+    def points(self, submap: str) -> NDArray[np.floating]:
+        """See MapSource."""
+        return npy.decode(self.client.submaps.download(submap, "npy"), DEFAULT_LIMITS).points
+
+
+@dataclass
+class MapGrids:
+    """Makes grids in a thread of its own. Each submap is downloaded once, and kept thinned."""
+
+    source: MapSource
+    resolution_m: float
+    _made: MapGrid | None = None
+    _told: int = 0
+    _points: dict[str, NDArray[np.float64]] = field(default_factory=dict)
+    _thread: threading.Thread | None = None
+    _closing: threading.Event = field(default_factory=threading.Event)
+
+    @property
+    def made(self) -> MapGrid | None:
+        """The newest grid; None before the first."""
+        return self._made
+
+    def follow(self, session: str) -> None:
+        """Look for a new version, unless that is being done; `session` is the robot's own, whose frame is taken."""
+        if self.resolution_m > 0.0 and (self._thread is None or not self._thread.is_alive()):
+            self._thread = threading.Thread(target=self._follow, args=(session,), name="revisit map", daemon=True)
+            self._thread.start()
+
+    def news(self) -> MapGrid | None:
+        """The newest grid, if it was not told yet."""
+        made = self._made
+        if made is None or made.version == self._told:
+            return None
+        self._told = made.version
+        return made
+
+    def close(self) -> None:
+        """Stop."""
+        self._closing.set()
+        if self._thread is not None:
+            self._thread.join(timeout=5.0)
+
+    def _follow(self, session: str) -> None:
+        try:
+            version = self.source.version()
+            if version and (self._made is None or self._made.version != version):
+                self._make(version, session)
+        except (ApiError, RevisitError) as error:
+            log.warning("no grid of the map: %s", error.message)
+
+    def _make(self, version: int, session: str) -> None:
+        poses = list(self.source.poses(version))
+        frame = _frame(poses, session)
+        placed = [pose for pose in poses if pose.frame == frame]
+        clouds = []
+        for pose in placed:
+            if self._closing.is_set():
+                return
+            clouds.append(se3.apply(pose.T_map_submap, self._cloud(pose.submap)))
+        self._points = {pose.submap: self._points[pose.submap] for pose in placed}
+        if clouds:
+            grid = grid_of(np.concatenate(clouds), GridOptions(resolution_m=self.resolution_m))
+            self._made = MapGrid(version, frame, grid)
+
+    def _cloud(self, submap: str) -> NDArray[np.float64]:
+        if submap not in self._points:
+            points = np.asarray(self.source.points(submap), dtype=np.float64)
+            cubes = np.floor(points / THIN_M).astype(np.int64)
+            self._points[submap] = points[np.sort(np.unique(cubes, axis=0, return_index=True)[1])]
+        return self._points[submap]
+
+
+def _frame(poses: Sequence[SubmapPose], session: str) -> str:
+    """The frame of the robot's own session; where no version has it, that of most submaps."""
+    own = next((pose.frame for pose in poses if pose.submap.startswith(f"{session}/")), "") if session else ""
+    return own or next((frame for frame, _ in Counter(pose.frame for pose in poses).most_common(1)), "")
