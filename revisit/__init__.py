@@ -3,6 +3,8 @@
     client = Client()                                # REST on http://127.0.0.1:8080
     client = Client.grpc("127.0.0.1:8090")           # the same calls over gRPC
     client = AsyncClient()                           # the same calls, each awaited
+    with within(2.0): ...                            # calls that take 2 s together at most
+    picture(client, "town")                          # shown in a notebook
 
 Errors are `revisit.sdk.errors.ApiError`; transforms are (4, 4) matrices named T_target_source; lengths are metres.
 """
@@ -17,17 +19,25 @@ if TYPE_CHECKING:
     from revisit.sdk.clouds import Cloud as Cloud
     from revisit.sdk.errors import ApiError as ApiError
     from revisit.sdk.input_watch import SuspiciousInput as SuspiciousInput
+    from revisit.sdk.picture import MapPicture as MapPicture
+    from revisit.sdk.picture import picture as picture
     from revisit.sdk.tables import to_dataframe as to_dataframe
+    from revisit.sdk.time_limit import within as within
 
-__all__ = ["ApiError", "AsyncClient", "Client", "Cloud", "SuspiciousInput", "to_dataframe"]
+__all__ = [
+    "ApiError", "AsyncClient", "Client", "Cloud", "MapPicture", "SuspiciousInput", "picture", "to_dataframe", "within",
+]  # fmt: skip
 
 _HOMES = {
     "ApiError": "revisit.sdk.errors",
     "AsyncClient": "revisit.sdk.async_client",
     "Client": "revisit.sdk.client",
     "Cloud": "revisit.sdk.clouds",
+    "MapPicture": "revisit.sdk.picture",
     "SuspiciousInput": "revisit.sdk.input_watch",
+    "picture": "revisit.sdk.picture",
     "to_dataframe": "revisit.sdk.tables",
+    "within": "revisit.sdk.time_limit",
 }
 
 

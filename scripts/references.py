@@ -196,6 +196,12 @@ def sdk() -> str:
             "(4, 4) matrices named `T_target_source`, lengths metres. A call that has a short name can be written "
             "by it."
         ),
+        (
+            "`with within(2.0): ...` (`from revisit import within`) bounds the time of the calls in the block, with "
+            'all that is repeated: one that takes longer raises DeadlineExceeded (TIME_LIMIT). `picture(client, "town")` '
+            "is a drawing of a map that a notebook shows; `.save(file)` writes it as SVG. `to_dataframe(resources)` is "
+            "a table of pandas."
+        ),
     ]
     # Nothing is called here: the transport is not used.
     client = Client(transport=cast(Any, None))

@@ -10,6 +10,7 @@ import asyncio
 from collections.abc import AsyncIterator, Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import asynccontextmanager
+from contextvars import copy_context
 from functools import partial, wraps
 from typing import Any
 
@@ -34,7 +35,8 @@ class Threads:
         @wraps(function)
         async def run(*given: Any, **named: Any) -> Any:
             loop = asyncio.get_running_loop()
-            return await loop.run_in_executor(self._pool, partial(function, *given, **named))
+            # The thread has the time limit of the caller.
+            return await loop.run_in_executor(self._pool, partial(copy_context().run, function, *given, **named))
 
         return run
 

@@ -18,6 +18,7 @@ from revisit.sdk.grpc_answers import LOST_AFTER_S, Answers, LostCall, answer
 from revisit.sdk.reading import Json
 from revisit.sdk.retry import RetryPolicy
 from revisit.sdk.scan_stream import GrpcScanSink, holds_scan
+from revisit.sdk.time_limit import remaining_s
 from revisit.sdk.transport import SILENT_S, Forgetful, StreamJournal
 from revisit.v1 import event_pb2, loop_closure_pb2, map_file_pb2, mapping_pb2
 
@@ -56,15 +57,19 @@ class GrpcTransport:
     def call(self, name: str, request: Any) -> Any:
         """See Transport."""
         call = CALLS[name]
-        return call.body_in(self._run(lambda: answer(self._method(name), request, ANSWER_TIMEOUT_S, self._metadata)))
+
+        def once() -> Any:
+            return answer(self._method(name), request, remaining_s(ANSWER_TIMEOUT_S), self._metadata)
+
+        return call.body_in(self._run(once))
 
     def download(self, name: str, request: Any) -> bytes:
         """See Transport."""
-        limit_s = ANSWER_TIMEOUT_S + LOST_AFTER_S
 
         def whole() -> bytes:
-            chunks = Answers(self._method(name)(request, timeout=ANSWER_TIMEOUT_S, metadata=self._metadata))
-            return b"".join(chunk.data for chunk in chunks.all(limit_s))
+            deadline_s = remaining_s(ANSWER_TIMEOUT_S)
+            chunks = Answers(self._method(name)(request, timeout=deadline_s, metadata=self._metadata))
+            return b"".join(chunk.data for chunk in chunks.all(deadline_s + LOST_AFTER_S))
 
         return self._run(whole)
 

@@ -14,6 +14,8 @@ from typing import Any
 
 import httpx
 
+from revisit.sdk.time_limit import remaining_s
+
 URLS_KEPT = 256
 
 
@@ -30,7 +32,7 @@ class HttpCalls:
             base_url=base_url, timeout=timeout, trust_env=False, headers=headers, transport=self._transport
         )
         self._sent_always = self.client.headers
-        self._extensions = {"timeout": timeout.as_dict()}
+        self._timeout = timeout.as_dict()
         self._url = lru_cache(URLS_KEPT)(self._built_url)
 
     def request(
@@ -44,9 +46,13 @@ class HttpCalls:
         json: Any = None,
     ) -> httpx.Response:
         """The whole answer. Raises httpx.TransportError."""
+        timeout = {of: None if most_s is None else remaining_s(most_s) for of, most_s in self._timeout.items()}
         if self.client.base_url.userinfo:
             # Credentials in the address: authentication is httpx's.
-            return self.client.request(method, path, params=params, headers=headers, content=content, json=json)
+            return self.client.request(
+                method, path, params=params, headers=headers, content=content, json=json,
+                timeout=httpx.Timeout(**timeout),
+            )  # fmt: skip
         sent = self._sent_always
         if headers:
             sent = sent.copy()
@@ -58,7 +64,7 @@ class HttpCalls:
             headers=sent,
             content=content,
             json=json,
-            extensions=self._extensions,
+            extensions={"timeout": timeout},
         )
         answer = self._transport.handle_request(request)
         answer.request = request

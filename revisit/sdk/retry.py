@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from typing import TypeVar
 
 from revisit.sdk.errors import ApiError
+from revisit.sdk.time_limit import exceeded
 
 T = TypeVar("T")
 
@@ -30,12 +31,25 @@ class RetryPolicy:
         return max(asked_s or 0.0, jitter_s)
 
     def run(self, call: Callable[[], T]) -> T:
-        """The result of `call`. Raises its last ApiError."""
+        """The result of `call`. Raises its last ApiError, and DeadlineExceeded where a `time_limit` is over."""
         for failures in range(1, self.attempts):
             try:
-                return call()
+                return _in_time(call)
             except ApiError as error:
                 if not error.retryable or error.reason in WAITED_FOR:
                     raise
-                time.sleep(self.pause_s(failures, error.retry_after_s))
+                pause_s = self.pause_s(failures, error.retry_after_s)
+                if late := exceeded(pause_s):
+                    raise late from error
+                time.sleep(pause_s)
+        return _in_time(call)
+
+
+def _in_time(call: Callable[[], T]) -> T:
+    """The result of a call; an error of one that the time limit has ended says so."""
+    try:
         return call()
+    except ApiError as error:
+        if late := exceeded():
+            raise late from error
+        raise
