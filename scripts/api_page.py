@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from html import escape
 from typing import Any
+from urllib.parse import quote
 
 Json = dict[str, Any]
 
@@ -36,7 +37,8 @@ def page(document: Json) -> str:
 _HEAD = """<!doctype html>
 <html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width, initial-scale=1">
 <title>{title}: REST</title><link rel="stylesheet" href="/docs.css"></head><body>
-<header><a href="/">{title}</a> <span>REST</span> <a href="/openapi.json">openapi.json</a></header>"""
+<header><a href="/">{title}</a> <span>REST</span> <a href="/try">try it</a>
+<a href="/openapi.json">openapi.json</a></header>"""
 
 _INTRODUCTION = """<p>JSON in and out; clouds are bodies of their own, by content type. Transforms are
 <code>T_target_source</code>: metres and a unit quaternion in the order <b>x, y, z, w</b>; times are nanoseconds. 64-bit
@@ -52,13 +54,18 @@ def _call(path: str, method: str, call: Json, document: Json) -> str:
         f'<details id="{escape(call["operationId"])}">',
         f"<summary>{badge} <span>{escape(call['summary'])}</span></summary>",
         f"<p>{_text(call.get('description', ''))}</p>",
-        f"<p class=scopes>{_scopes(call)}</p>",
+        f'<p class=scopes>{_scopes(call)} <a href="{escape(_try_it(call))}">try it</a></p>',
         *_parameters(call.get("parameters", [])),
         *_body(call.get("requestBody"), document),
         f"<h4>Answers</h4><ul>{''.join(_answers(call['responses'], document))}</ul>",
         f"<pre>{escape(_curl(path, method, call))}</pre></details>",
     ]
     return "".join(parts)
+
+
+def _try_it(call: Json) -> str:
+    """Where the call is opened on the page `/try`."""
+    return f"/try#/{quote(_group(call))}/{call['operationId']}"
 
 
 def _scopes(call: Json) -> str:

@@ -198,9 +198,9 @@ def sdk() -> str:
         ),
         (
             "`with within(2.0): ...` (`from revisit import within`) bounds the time of the calls in the block, with "
-            'all that is repeated: one that takes longer raises DeadlineExceeded (TIME_LIMIT). `picture(client, "town")` '
-            "is a drawing of a map that a notebook shows; `.save(file)` writes it as SVG. `to_dataframe(resources)` is "
-            "a table of pandas."
+            "all that is repeated: one that takes longer raises DeadlineExceeded (TIME_LIMIT). "
+            '`picture(client, "town")` is a drawing of a map that a notebook shows; `.save(file)` writes it as SVG. '
+            "`to_dataframe(resources)` is a table of pandas."
         ),
     ]
     # Nothing is called here: the transport is not used.

@@ -92,17 +92,13 @@ class CallPace:
     async def refusal(self, address: str) -> None:
         """Return when a caller that nobody knows may be told so; at once where too many wait."""
         try:
-            await self._wait(
-                self._unauthenticated, self._of_stranger("refused", address, self._limits.refusals_per_s)
-            )
+            await self._wait(self._unauthenticated, self._of_stranger("refused", address, self._limits.refusals_per_s))
         except RateLimited:
             return
 
     async def public(self, address: str) -> None:
         """Return when a call without a credential may begin. Raises RateLimited where too many wait."""
-        await self._wait(
-            self._unauthenticated, self._of_stranger("public", address, self._limits.public_calls_per_s)
-        )
+        await self._wait(self._unauthenticated, self._of_stranger("public", address, self._limits.public_calls_per_s))
 
     async def _wait(self, line: _Line, *rates: Rate) -> None:
         """Spend a token of each rate and wait until they are there; a call that is given up has spent them, too."""

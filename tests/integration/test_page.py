@@ -452,3 +452,160 @@ def test_a_thousand_submaps_are_drawn_within_three_seconds(chromium, many):
         shown.tab.close()
     print(f"{MANY} submaps drawn after {min(times_s):.2f} s, at most {max(times_s):.2f} s")
     assert in_time(min(times_s), SECONDS_FOR_MANY)
+
+
+PHONE = {"viewport": {"width": 390, "height": 844}, "has_touch": True, "is_mobile": True}
+
+
+def test_colours_tell_what_is_asked_and_the_legend_its_range(page):
+    by_session = page.tab.evaluate("[...revisitPage.view().dots.geometry.attributes.tint.array].join()")
+    page.tab.select_option("#colour-by", "age")
+    page.tab.locator("#legend:not([hidden])").wait_for()
+    assert page.tab.locator("#legend-high").inner_text() == "newest"
+    assert page.tab.evaluate("[...revisitPage.view().dots.geometry.attributes.tint.array].join()") != by_session
+    page.tab.select_option("#colour-by", "session")
+    page.tab.locator("#legend").wait_for(state="hidden")
+    assert page.tab.evaluate("[...revisitPage.view().dots.geometry.attributes.tint.array].join()") == by_session
+
+
+def test_residuals_are_those_of_loop_closures_in_the_frame_of_the_map(chromium, service):
+    made = slipped_fleet_in(service.world, "residuals")
+    with Client(service.http) as client:
+        client.wait(client.optimise_map(made.name))
+        poses = {one.submap: one.T_map_submap for one in client.versions.poses(client.versions.list(made.name)[-1])}
+        off = {}
+        for loop in client.loop_closures(made.name):
+            apart = np.linalg.inv(loop.T_match_query) @ np.linalg.inv(poses[loop.match]) @ poses[loop.query]
+            for end in (loop.query, loop.match):
+                off.setdefault(end, []).append(np.linalg.norm(apart[:3, 3]))
+    means = sorted(np.mean(one) for one in off.values())
+    shown = Page(chromium, service.http, f"/#{made.name}")
+    shown.drawn()
+    shown.tab.select_option("#colour-by", "residual")
+    shown.tab.locator("#legend:not([hidden])").wait_for()
+    low, high = (shown.tab.locator(f"#legend-{end}").inner_text() for end in ("low", "high"))
+    assert (low, high) == tuple(f"{100 * means[round(share * (len(means) - 1))]:.0f} cm" for share in (0.01, 0.99))
+    shown.tab.close()
+
+
+def test_two_points_are_measured(page):
+    page.tab.keyboard.press("e")
+    for submap in ("monday/submaps/m0", "monday/submaps/m3"):
+        page.tab.mouse.click(*page.where(f"maps/town/sessions/{submap}"))
+    first, last = pose(0.0)[:3, 3], pose(36.0)[:3, 3]
+    last = last + (0.0, 8.0 * np.sin(3), 0.0)
+    assert float(page.data("measured")) == pytest.approx(np.linalg.norm(last - first), abs=1e-3)
+    assert page.tab.locator("#told").inner_text().startswith("36.0 m: 36.0 m level")
+    page.tab.keyboard.press("Escape")
+    page.tab.locator("#told").wait_for(state="hidden")
+    page.until("tool", "none")
+
+
+@pytest.mark.parametrize("options", [{}, PHONE], ids=["laptop", "phone"])
+def test_two_submaps_are_joined_by_hand(chromium, service, options):
+    town = "joined" + str(len(options))
+    with Client(service.http) as client:
+        fill(client, town)
+    shown = Page(chromium, service.http, f"/#maps/{town}", **options)
+    shown.drawn()
+    shown.tab.locator("[data-tool=join]").click()
+    for submap in ("monday/submaps/m1", "monday/submaps/m3"):
+        shown.tab.mouse.click(*shown.where(f"maps/{town}/sessions/{submap}"))
+    shown.tab.get_by_placeholder("Why?").fill("the same corner")
+    shown.tab.get_by_label("begin where they are drawn").check()
+    shown.tab.get_by_role("button", name="Join them").click()
+    shown.tab.locator("#told").wait_for(state="hidden")
+    made = [loop for loop in loops_of(service, f"maps/{town}") if loop.manual]
+    assert [(loop.query[-2:], loop.match[-2:]) for loop in made] == [("m1", "m3")]
+    with Client(service.http) as client:
+        assert client.loop_closure_events(made[0])[0].note == "the same corner"
+    assert shown.complaints == []
+    shown.tab.close()
+
+
+def test_versions_are_compared_and_an_earlier_one_is_brought_back(chromium, service):
+    made = slipped_fleet_in(service.world, "versions")
+    with Client(service.http) as client:
+        client.wait(client.optimise_map(made.name))
+        client.reject_loop_closure(client.loop_closures(made.name)[0])
+        client.wait(client.optimise_map(made.name))
+        before = len(client.versions.list(made.name))
+    shown = Page(chromium, service.http, f"/#{made.name}")
+    shown.tab.on("dialog", lambda asked: asked.accept())
+    shown.drawn()
+    shown.tab.locator("#versions summary").click()
+    shown.tab.get_by_role("button", name="changes").first.click()
+    shown.until("drawn-changes", 120)
+    assert "120 submaps moved by" in shown.tab.locator("#version-said").inner_text()
+    shown.tab.locator("[data-version='1']").get_by_role("button", name="go back").click()
+    shown.tab.locator(f"[data-version='{before + 1}']").wait_for()
+    assert "as version 1" in shown.tab.locator(f"[data-version='{before + 1}']").inner_text()
+    assert shown.complaints == []
+    shown.tab.close()
+
+
+def test_why_a_submap_has_no_more_loop_closures_is_told(page, service):
+    page.tab.mouse.click(*page.where("maps/town/sessions/monday/submaps/m2"))
+    page.tab.locator("#explain").click()
+    page.tab.locator("#missed li button").first.wait_for()
+    own = [one for one in loops_of(service) if one.state == "REJECTED" and "monday/submaps/m2" in one.query + one.match]
+    assert page.tab.locator("#missed li").count() == min(8, len(own))
+    assert "needs at least" in page.tab.locator("#missed").inner_text()
+
+
+def test_poses_loops_and_clouds_are_saved_from_the_page(chromium, service):
+    made = slipped_fleet_in(service.world, "exported")
+    with Client(service.http) as client:
+        client.wait(client.optimise_map(made.name))
+        poses = {one.submap: one.T_map_submap for one in client.versions.poses(client.versions.list(made.name)[-1])}
+    shown = Page(chromium, service.http, f"/#{made.name}")
+    shown.drawn()
+    shown.tab.locator("#exports summary").click()
+    saved = {}
+    for label in ("Poses (TUM)", "Loop closures (CSV)"):
+        with shown.tab.expect_download() as told:
+            shown.tab.get_by_role("button", name=label).click()
+        saved[label] = Path(told.value.path()).read_text()
+    positions = np.loadtxt(io.StringIO(saved["Poses (TUM)"]))[:, 1:4]
+    wanted = np.array([T[:3, 3] for T in poses.values()])
+    assert sorted(map(tuple, positions.round(6))) == sorted(map(tuple, wanted.round(6)))
+    assert len(saved["Loop closures (CSV)"].splitlines()) == 1 + len(loops_of(service, made.name))
+    shown.tab.close()
+
+
+@pytest.mark.parametrize("options", [{"viewport": {"width": 1280, "height": 800}}, PHONE], ids=["laptop", "phone"])
+def test_nothing_lies_on_the_tools_and_the_page_is_as_wide_as_the_screen(chromium, service, options):
+    shown = Page(chromium, service.http, "/#maps/town", **options)
+    shown.drawn()
+    shown.tab.select_option("#colour-by", "height")
+    shown.tab.locator("#legend:not([hidden])").wait_for()
+    assert shown.tab.evaluate("document.documentElement.scrollWidth") == options["viewport"]["width"]
+    boxes = [
+        shown.tab.locator(of).bounding_box() for of in ("#tools .colour-by", "#tools .group", "#legend", "#caption")
+    ]
+    for index, one in enumerate(boxes):
+        for other in boxes[index + 1 :]:
+            apart_x = one["x"] + one["width"] <= other["x"] or other["x"] + other["width"] <= one["x"]
+            assert apart_x or one["y"] + one["height"] <= other["y"] or other["y"] + other["height"] <= one["y"]
+    shown.tab.close()
+
+
+def test_calls_are_tried_on_a_page_of_the_service_alone(chromium):
+    world = memory_world()
+    with ThreadPoolExecutor(1) as elsewhere:
+        key = elsewhere.submit(a_key, world, scopes=READ).result()
+    with live_service(world) as service:
+        shown = Page(chromium, service.http, "/", bypass_csp=False)
+        shown.tab.locator("#api-key").fill(key.text)
+        shown.tab.keyboard.press("Enter")
+        shown.tab.get_by_text("Nothing here yet").wait_for()
+        shown.tab.goto(f"{service.http}/docs")
+        shown.tab.locator("#list_maps summary").click()
+        shown.tab.locator("#list_maps").get_by_role("link", name="try it").click()
+        shown.tab.locator("#operations-maps-list_maps").get_by_role("button", name="Execute").click(timeout=60_000)
+        answered = shown.tab.locator(".live-responses-table .response-col_status").nth(1)
+        answered.wait_for()
+        assert answered.inner_text().startswith("200"), "the key of the tab goes with the call"
+        assert all(address.startswith((service.http, "data:")) for address in shown.asked)
+        assert not [said for said in shown.complaints if "Content Security Policy" in said]
+        shown.tab.close()

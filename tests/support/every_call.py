@@ -11,7 +11,7 @@ from revisit.service.rest.app import create_app
 from revisit.service.rest.routes.page import WEB
 from tests.support.service_world import memory_world
 
-PUBLIC_PATHS = {"/livez", "/readyz", "/", "/docs"} | {
+PUBLIC_PATHS = {"/livez", "/readyz", "/", "/docs", "/try"} | {
     f"/{file.relative_to(WEB).as_posix()}" for file in WEB.rglob("*") if file.suffix in (".css", ".js", ".svg")
 }
 

@@ -41,5 +41,6 @@ def _serve(path: str, file: Path) -> None:
 
 _serve("/", WEB / "index.html")
 _serve("/docs", WEB / "docs.html")
+_serve("/try", WEB / "try.html")
 for _file in sorted(file for file in WEB.rglob("*") if file.suffix in MEDIA_TYPES and file.suffix != ".html"):
     _serve(f"/{_file.relative_to(WEB).as_posix()}", _file)
