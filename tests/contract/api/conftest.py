@@ -11,6 +11,7 @@ import pytest
 
 from tests.support.credentials import a_key
 from tests.support.live_service import connected, live_service
+from tests.support.paced import Line, paced_service
 from tests.support.service_world import memory_world, postgres_world, sqlite_world
 
 _numbers = itertools.count(1)
@@ -91,3 +92,16 @@ def guarded_http(guarded):
 def guarded_grpc(guarded):
     with grpc.insecure_channel(guarded.grpc) as opened:
         yield opened
+
+
+@pytest.fixture(scope="module")
+def line():
+    """The calls of `paced` that wait."""
+    return Line()
+
+
+@pytest.fixture(scope="module")
+def paced(line):
+    """A service with keys, in which no time passes for the pace of calls."""
+    with paced_service(line) as running:
+        yield running

@@ -10,19 +10,7 @@ from grpc_health.v1 import health_pb2, health_pb2_grpc
 from revisit import ApiError, Client
 from revisit.sdk.retry import RetryPolicy
 from tests.support.credentials import a_key
-from tests.support.paced import BURST, Line, paced_service
-
-
-@pytest.fixture(scope="module")
-def line():
-    return Line()
-
-
-@pytest.fixture(scope="module")
-def paced(line):
-    """A service with keys, in which no time passes for the pace of calls."""
-    with paced_service(line) as running:
-        yield running
+from tests.support.paced import BURST
 
 
 def client_of(paced, transport, key):

@@ -10,20 +10,9 @@ from revisit.service.capacity.slots import Slots
 from revisit.service.domain.errors import RateLimited
 from tests.support.credentials import a_key, bearer, ended
 from tests.support.every_call import PUBLIC_PATHS, rest_calls, rpcs
-from tests.support.paced import BEFORE_REFUSAL, BURST, Line, paced_service
+from tests.support.paced import BEFORE_REFUSAL, BURST
 
 ROUTES = [call for call in rest_calls() if call.values[1] not in PUBLIC_PATHS]
-
-
-@pytest.fixture(scope="module")
-def line():
-    return Line()
-
-
-@pytest.fixture(scope="module")
-def paced(line):
-    with paced_service(line) as running:
-        yield running
 
 
 @pytest.fixture(scope="module")
