@@ -3,6 +3,7 @@
 The modules in the order of the paper:
 
     scan, submap            posed scans over the travelled distance tau_n          III-A
+    scan_marks              scans of a drive that are described                    beyond the paper
     scan_planes             scans over the planes that several of them see         beyond the paper
     scan_disagreement       how far the scans of a submap disagree                 beyond the paper
     odometry_bend           odometry that turns within a submap, straightened      beyond the paper

@@ -145,11 +145,21 @@ class SubmapConfig(Section):
     stride: float = parameter(5.0, "m", "own", "travelled distance between the starts of two submaps")
     max_range: float = parameter(80.0, "m", "PIN-SLAM", "returns beyond this range are not used")
     min_range: float = parameter(1.0, "m", "own", "returns nearer than this hit the robot itself", low=0)
-    scans_per_tau: int = parameter(
-        10, "scans", "own, decision 0151", "of a window's scans those tau over this apart are described", high=1000
+    least_scans_per_tau: int = parameter(
+        5,
+        "scans",
+        "own, decision 0341",
+        "scans of tau that are described; doubled until they have enough returns",
+        high=100,
     )
     enough_returns: int = parameter(
-        300_000, "returns", "own, decision 0151", "where those hold fewer, further scans are, evenly spread", low=0
+        300_000, "returns", "own, decision 0341", "so many returns the described scans of tau have together", low=0
+    )
+    turn_between_scans: float = parameter(
+        30.0, "degrees", "own, decision 0341", "a scan turned by more is described between two marks, too", high=180
+    )
+    scans_per_tau: int = parameter(
+        10, "scans", "own, decision 0339", "of a moving robot's view those tau over this apart are kept", high=1000
     )
 
     def __post_init__(self) -> None:

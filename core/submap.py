@@ -14,8 +14,8 @@ from revisit.core.config import SubmapConfig
 from revisit.core.errors import BadField, EmptyCloud
 from revisit.core.geometry import se3
 from revisit.core.geometry.level_frame import LevelFrame
-from revisit.core.geometry.path import travelled_m
 from revisit.core.scan import MIN_POINTS, Points, Scan
+from revisit.core.scan_marks import ChosenScan, ScanMarks, marked_rows, step_m
 
 
 @dataclass(frozen=True)
@@ -92,16 +92,17 @@ class Submap:
 
     @classmethod
     def from_scans(cls, scans: list[Scan], config: SubmapConfig) -> Submap:
-        """The submap of a window's `scans` (in time order, at least one), in the frame of the middle one.
+        """The submap of all these `scans` (in time order, at least one), in the frame of the middle one.
 
-        Of more scans than are needed some are chosen (`chosen_scans`). Raises as `accumulated` does.
+        Raises as `accumulated` does.
         """
-        positions = np.array([scan.T_odom_sensor[:3, 3] for scan in scans])
-        rows = chosen_scans(positions, np.array([len(scan.points) for scan in scans]), config)
-        chosen = [scans[row] for row in rows]
-        room = sum(len(scan.points) for scan in chosen)
-        submap = cls.accumulated(chosen, scans[len(scans) // 2].T_odom_sensor, config, room)
-        return replace(submap, position=positions.mean(axis=0))
+        room = sum(len(scan.points) for scan in scans)
+        return cls.accumulated(scans, scans[len(scans) // 2].T_odom_sensor, config, room)
+
+    @classmethod
+    def from_window(cls, scans: list[Scan], config: SubmapConfig) -> Submap:
+        """The submap of those of a window's `scans` that are described (`described_scans`). Raises as `accumulated`."""
+        return cls.from_scans(described_scans(scans, config), config)
 
     @classmethod
     def accumulated(cls, scans: Iterable[Scan], T_odom_submap: se3.Matrix4, config: SubmapConfig, room: int) -> Submap:
@@ -159,27 +160,10 @@ def _enough(points: Points, given: int) -> Points:
     return points
 
 
-def chosen_scans(
-    positions: NDArray[np.float64], returns: NDArray[np.integer], config: SubmapConfig
-) -> NDArray[np.int64]:
-    """Which of a window's scans (s,) are described, ascending: those nearest to marks of travel, and more if needed.
-
-    `positions` (s, 3) metres and the numbers of `returns` (s,) are in time order. The marks are tau / `scans_per_tau`
-    apart, so that neither the speed of the robot nor the rate of its sensor changes the description. Where the scans
-    at the marks have fewer than `enough_returns`, of a sensor of few beams, others join them, evenly spread, until
-    they have (docs/decisions/0151).
-    """
-    travelled = travelled_m(positions)
-    marks = travelled * (config.scans_per_tau / config.tau)
-    nearest = np.rint(marks)
-    order = np.lexsort((np.abs(marks - nearest), nearest))
-    chosen = np.zeros(len(marks), dtype=bool)
-    chosen[order[np.flatnonzero(np.diff(nearest, prepend=-1.0))]] = True
-    others, missing = np.flatnonzero(~chosen), config.enough_returns - returns[chosen].sum()
-    if len(others) and missing > 0:
-        share = min(missing / max(returns[others].sum(), 1), 1.0)
-        chosen[others[np.diff(np.floor(np.arange(len(others) + 1) * share + 0.5)) > 0]] = True
-    return np.flatnonzero(chosen)
+def described_scans(scans: list[Scan], config: SubmapConfig) -> list[Scan]:
+    """Those of a window's `scans`, in time order, that are described (see `ScanMarks`); the first one is a mark."""
+    rows = marked_rows(((scan.T_odom_sensor, len(scan.points)) for scan in scans), ScanMarks.of(config))
+    return [scans[row] for row in rows]
 
 
 def next_window_start(start_m: float, travelled_m: float, config: SubmapConfig) -> float:
@@ -192,20 +176,30 @@ def next_window_start(start_m: float, travelled_m: float, config: SubmapConfig) 
 
 
 class SubmapBuilder:
-    """Cuts a stream of scans into submaps: windows of `tau` metres of travel, one starting every `stride` metres."""
+    """Cuts a stream of scans into submaps: windows of `tau` metres of travel, one starting every `stride` metres.
+
+    Windows hold the scans that `ScanMarks` chooses, and begin and end with such.
+    """
 
     def __init__(self, config: SubmapConfig) -> None:
         self._config = config
+        self._marks = ScanMarks.of(config)
+        self._chosen: ChosenScan | None = None
         self._window: deque[tuple[float, Scan]] = deque()
+        self._T_odom_before: se3.Matrix4 | None = None
         self._travelled_m = 0.0
         self._window_start_m = 0.0
         self._emitted_to_m: float | None = None
 
     def add(self, scan: Scan) -> list[Scan] | None:
         """The scans of a finished submap, when `scan` completes its window, else None."""
-        if self._window:
-            step = scan.T_odom_sensor[:3, 3] - self._window[-1][1].T_odom_sensor[:3, 3]
-            self._travelled_m += float(np.linalg.norm(step))
+        if self._T_odom_before is not None:
+            self._travelled_m += step_m(self._T_odom_before, scan.T_odom_sensor)
+        self._T_odom_before = scan.T_odom_sensor
+        chosen = self._marks.choose(self._chosen, self._travelled_m, scan.T_odom_sensor, len(scan.points))
+        if chosen is None:
+            return None
+        self._chosen = chosen
         self._window.append((self._travelled_m, scan))
         if self._travelled_m - self._window_start_m < self._config.tau:
             return None
@@ -218,6 +212,6 @@ class SubmapBuilder:
 
     def flush(self) -> list[Scan] | None:
         """The scans of a last, shorter submap at the end of a session, or None where nothing new was seen."""
-        if not self._window or self._travelled_m == self._emitted_to_m:
+        if not self._window or self._window[-1][0] == self._emitted_to_m:
             return None
         return [item for _, item in self._window]

@@ -10,7 +10,7 @@ import numpy as np
 from revisit.core.config import SubmapConfig
 from revisit.core.errors import EmptyCloud, MalformedBody, RevisitError
 from revisit.core.scan import CloudReport, Scan
-from revisit.core.submap import Submap, SubmapBuilder
+from revisit.core.submap import Submap, SubmapBuilder, described_scans
 from revisit.evaluation.datasets import Recording
 from revisit.evaluation.perturbations import Perturbation
 
@@ -18,7 +18,10 @@ Window = tuple[int, ...]
 
 
 def cut(recording: Recording, config: SubmapConfig, scans: Sequence[int] | None = None) -> list[Window]:
-    """The scan indices of every submap, in order; `scans` restricts and orders the scans that are used."""
+    """The scan indices of every submap, in order; `scans` restricts and orders the scans that are used.
+
+    Scans of a robot that stands still are left out; of the others `load_submap` chooses by their returns.
+    """
     builder = SubmapBuilder(config)
     windows: list[list[Scan] | None] = []
     for index in range(len(recording)) if scans is None else scans:
@@ -40,7 +43,7 @@ def load_submap(
     Raises the error of the last scan where all are bad, EmptyCloud where too few points remain.
     """
     scans: list[Scan] = []
-    used: list[int] = []
+    used: dict[int, int] = {}
     problem: RevisitError = EmptyCloud("the window holds no scan")
     for index in window:
         try:
@@ -50,7 +53,8 @@ def load_submap(
             continue
         # a thinned scan may have very few points: only the submap must have enough
         scans.append(dataclasses.replace(scan, points=perturbation.thin(scan.points, index)))
-        used.append(index)
+        used[id(scans[-1])] = index
     if not scans:
         raise problem
-    return Submap.from_scans(scans, config), tuple(used)
+    chosen = described_scans(scans, config)
+    return Submap.from_scans(chosen, config), tuple(used[id(scan)] for scan in chosen)

@@ -1,8 +1,12 @@
 // Streams scans to Revisit and prints the loops that it finds. Poses: metres, quaternion x, y, z, w; z points up.
 #include <grpcpp/grpcpp.h>
 
+#include <algorithm>
+#include <array>
+#include <cmath>
 #include <cstdint>
 #include <iostream>
+#include <numeric>
 #include <string>
 #include <vector>
 
@@ -20,8 +24,47 @@ struct Scan {
 
 bool next_scan(Scan* scan);  // yours: the next sweep of the LiDAR with the pose of your odometry
 
-void fill(const Scan& scan, uint64_t seq, rv::Scan* message) {
+// Counts the way over all scans, and says of which descriptions are made: see ScanMarks in ingest.proto.
+struct Choice {
+  double travelled_m = 0, before[3], chosen_m = -1;
+  bool begun = false;
+  std::vector<std::array<double, 4>> orientations;  // of the scans that were chosen since the last mark
+
+  void go_on(double way_m, const double* position) {
+    travelled_m = chosen_m = way_m;
+    std::copy(position, position + 3, before);
+    begun = true;
+  }
+
+  bool takes(const Scan& scan, const rv::ScanMarks& marks) {
+    double step = 0;
+    for (int i = 0; begun && i < 3; ++i) step += std::pow(scan.position[i] - before[i], 2);
+    travelled_m += std::sqrt(step);
+    std::copy(scan.position, scan.position + 3, before);
+    begun = true;
+    double per_tau = marks.least_per_tau();
+    while (per_tau * (scan.xyz.size() / 3) < marks.enough_returns() && per_tau < 640) per_tau *= 2;
+    const double spacing_m = marks.tau_m() / per_tau;
+    const auto mark = [&](double way_m) { return std::floor(way_m / spacing_m + 0.5); };
+    const std::array<double, 4> q = {scan.quaternion_xyzw[0], scan.quaternion_xyzw[1], scan.quaternion_xyzw[2],
+                                     scan.quaternion_xyzw[3]};
+    if (chosen_m < 0 || mark(travelled_m) > mark(chosen_m)) {
+      chosen_m = travelled_m;
+      orientations.clear();
+    } else {
+      for (const auto& known : orientations) {
+        const double cosine = std::abs(std::inner_product(q.begin(), q.end(), known.begin(), 0.0));
+        if (cosine > std::cos(marks.turn_rad() / 2)) return false;
+      }
+    }
+    orientations.push_back(q);
+    return true;
+  }
+};
+
+void fill(const Scan& scan, uint64_t seq, double travelled_m, rv::Scan* message) {
   message->set_seq(seq);
+  message->set_travelled_m(travelled_m);
   message->set_stamp_ns(scan.stamp_ns);
   auto* translation = message->mutable_t_odom_sensor()->mutable_translation();
   translation->set_x(scan.position[0]);
@@ -74,11 +117,19 @@ int main(int argc, char** argv) {
 
   uint64_t seq = 0, credits = 0;
   bool more = true, ended = false;
+  rv::ScanMarks marks;
+  Choice choice;
   rv::StreamScansResponse answer;
   while (stream->Read(&answer)) {
     if (answer.has_opened()) {
       seq = answer.opened().committed_seq();
       credits = answer.opened().credits();
+      marks = answer.opened().marks();
+      if (answer.opened().has_t_odom_sensor()) {
+        const auto& at = answer.opened().t_odom_sensor().translation();
+        const double position[3] = {at.x(), at.y(), at.z()};
+        choice.go_on(answer.opened().travelled_m(), position);
+      }
     } else if (answer.has_ack()) {
       credits += answer.ack().credits();
     } else if (answer.has_nack()) {
@@ -89,8 +140,9 @@ int main(int argc, char** argv) {
     }
     Scan scan;
     while (more && credits > 0 && (more = next_scan(&scan))) {
+      if (!choice.takes(scan, marks)) continue;
       request.Clear();
-      fill(scan, ++seq, request.mutable_scan());
+      fill(scan, ++seq, choice.travelled_m, request.mutable_scan());
       stream->Write(request);
       --credits;
     }

@@ -38,8 +38,8 @@ _VOXEL_M = 0.3
 class Visits:
     """10 m submaps of simulated streets seen by 64 beams: a place, its revisit in reverse, and another place.
 
-    Eleven scans each; `dense` is cut from 67, of which `Submap.from_scans` chooses. `along` is the way there, evenly:
-    the candidates of a query.
+    Scans a metre apart; `dense` is cut from 67, of which those that are described are chosen. `along` is the way there,
+    evenly: the candidates of a query.
     """
 
     place: Submap
@@ -63,7 +63,7 @@ def two_streets(candidates: int = 0) -> Visits:
             world, Trajectory(trajectory.T_world_sensor[part], trajectory.stamps_ns[part]), HDL64, TOWN_SEED
         )
         checked = [Scan.validated(scan.points, scan.T_world_sensor, scan.stamp_ns) for scan in seen]
-        return Submap.from_scans(checked, SubmapConfig())
+        return Submap.from_window(checked, SubmapConfig())
 
     place, revisit, elsewhere = (submap(share, 1.0, 11) for share in (0.25, 0.75, 0.4))
     along = tuple(submap(share, 1.0, 11) for share in np.linspace(0.05, 0.45, candidates))

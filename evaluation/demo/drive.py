@@ -42,9 +42,9 @@ class DemoDrive:
     def __len__(self) -> int:
         return len(self.trajectory)
 
-    def scans(self, window: range | None = None) -> Iterator[SimulatedScan]:
+    def scans(self, window: tuple[int, ...] | None = None) -> Iterator[SimulatedScan]:
         """The scans one by one, as they are taken; of a `window` alone with other noise than in the whole drive."""
-        part = slice(None) if window is None else slice(window.start, window.stop)
+        part = slice(None) if window is None else list(window)
         way = Trajectory(self.trajectory.T_world_sensor[part], self.trajectory.stamps_ns[part])
         return simulate(self.world, way, OS1_64, self.seed)
 

@@ -30,6 +30,6 @@ class Portrait:
 
 def portray(scans: Sequence[Scan], config: PipelineConfig) -> Portrait:
     """Describe the submap of `scans` with the packaged models. Raises the method's errors for unusable scans."""
-    place = describe(Submap.from_scans(list(scans), config.submap), load_packaged_models(), config)
+    place = describe(Submap.from_window(list(scans), config.submap), load_packaged_models(), config)
     surface = place.surface
     return Portrait(place.bev.image, surface.resolution, place.bev.keypoints, surface.vertices, surface.faces)

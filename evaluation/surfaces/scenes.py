@@ -115,7 +115,7 @@ def _town_scene(world: World, part: Trajectory, sensor: LidarModel) -> Scene:
         Scan.validated(s.points, s.T_world_sensor, s.stamp_ns)
         for s in list(simulate(world, part, sensor, TOWN_SEED))[::2]
     ]
-    submap = Submap.from_scans(scans, SubmapConfig()).levelled()
+    submap = Submap.from_window(scans, SubmapConfig()).levelled()
     T_submap_world = se3.inverse(submap.T_odom_submap)
     unseen = list(simulate(world, part, exact, TOWN_SEED))[1::2]
     samples = [se3.apply(T_submap_world @ s.T_world_sensor, s.points[~s.moving]) for s in unseen]
@@ -143,11 +143,11 @@ def held_out(
         scans = [recording.scan(index) for index in window if index not in unseen]
         scans = [dataclasses.replace(s, points=perturbation.thin(s.points, s.stamp_ns)) for s in scans]
         try:
-            submap = Submap.from_scans(scans, config)
+            submap = Submap.from_window(scans, config)
         except EmptyCloud:
             continue
         level, frame = submap.in_level_frame(unit_m)
         inverse = se3.inverse(submap.T_odom_submap)
-        truth = Submap.from_scans([recording.scan(index) for index in unseen], config)
+        truth = Submap.from_window([recording.scan(index) for index in unseen], config)
         samples = se3.apply(inverse @ truth.T_odom_submap, truth.points)
         yield Scene(level, HeldOutReturns(frame.points_to_level(samples).astype(np.float32)), unit_m)

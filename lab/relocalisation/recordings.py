@@ -106,7 +106,7 @@ def _windows(sources: Sources) -> list[tuple[int, ...]]:
 
 
 def _known(sources: Sources, number: int, window: tuple[int, ...], models: ModelBundle) -> KnownPlace | None:
-    submap = Submap.from_scans([sources.mapped.scan(index) for index in window], sources.config.submap)
+    submap = Submap.from_window([sources.mapped.scan(index) for index in window], sources.config.submap)
     try:
         found = describe(submap, models, sources.config)
     except RevisitError:

@@ -65,4 +65,4 @@ def _thinned(scan: Scan, rng: np.random.Generator) -> Scan:
 
 
 def _seen(scans: list[Scan], config: SubmapConfig, rng: np.random.Generator) -> Submap:
-    return turned(Submap.from_scans(scans, config).levelled(), float(rng.uniform(-np.pi, np.pi)))
+    return turned(Submap.from_window(scans, config).levelled(), float(rng.uniform(-np.pi, np.pi)))

@@ -61,7 +61,7 @@ def _thinned(scans: list[Scan], perturbation: Perturbation) -> list[Scan]:
 
 def _codes_of(scans: list[Scan], config: SubmapConfig) -> PlaneCodes:
     pipeline = PipelineConfig()
-    submap, _ = Submap.from_scans(scans, config).in_level_frame(pipeline.scene_scale)
+    submap, _ = Submap.from_window(scans, config).in_level_frame(pipeline.scene_scale)
     rng = np.random.default_rng(0)
     fitted = fit_implicit_map(submap, load_packaged_models().decoder, pipeline.implicit_map, rng)
     return plane_codes(fitted.points, fitted.config.resolution)

@@ -67,7 +67,7 @@ def _room(scene: Scene, world: OpenWorld, way: Path, arc: float, left_m: float, 
 def _reconstructed(recording: Recording, start: int, config: PipelineConfig) -> NDArray[np.float32]:
     """Triangles (n, 3, 3) in the world of one stretch of scans, near its middle."""
     scans = [recording.scan(index) for index in range(start, min(start + _SCANS, len(recording)))]
-    submap = Submap.from_scans(scans, config.submap)
+    submap = Submap.from_window(scans, config.submap)
     field = fit_implicit_map(
         submap.levelled(), load_packaged_models().decoder, config.implicit_map, np.random.default_rng(0)
     )

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from revisit.sdk.anchors import NewAnchor
     from revisit.sdk.client import Client, ScanStream
     from revisit.sdk.resources import Session, Submap
+    from revisit.sdk.scan_choice import Send
     from revisit.sdk.spooled_stream import SpooledStream
     from revisit.sdk.transport import Refusal
 
@@ -65,6 +66,7 @@ class Ingested:
 
     session: str
     scans_sent: int
+    scans_skipped: int
     scans_stored: int
     scans_refused: int
     submaps: int
@@ -88,10 +90,13 @@ class RefusedScan:
 
 @dataclass(frozen=True)
 class Sent:
-    """The number of scans that this run sent, and refused or unreadable ones, in the order of the recording."""
+    """The number of scans that this run sent, refused or unreadable ones, in the order of the recording, and the number
+    of those that it did not send, as no description would be made of them.
+    """
 
     scans: int
     refused: tuple[RefusedScan, ...]
+    skipped: int = 0
 
 
 @dataclass(frozen=True)
@@ -114,7 +119,8 @@ class Fixes:
 
 @dataclass(frozen=True)
 class Extent:
-    """How much to do: at most `limit` scans, by way of the file `spool`; then finish, then wait for the submaps.
+    """How much to do: `send` at most the first `limit` scans, or those of them that descriptions are made of, by way of
+    the file `spool`; then finish, then wait for the submaps.
 
     With None for `finish`, the session is finished unless the limit has left scans out.
     """
@@ -123,6 +129,7 @@ class Extent:
     spool: Path | None = None
     finish: bool | None = None
     wait: bool = True
+    send: Send = "described"
 
     def count(self, recording: Recording) -> int:
         """How many scans of a recording this is about."""
@@ -171,6 +178,9 @@ def ingest(
     ] = None,
     wait: Annotated[bool, typer.Option(help="Wait until every submap is described.")] = True,
     finish: Finish = None,
+    all_scans: Annotated[
+        bool, typer.Option("--all-scans", help="Send every scan, not those alone that descriptions are made of.")
+    ] = False,
     json: Json = False,
 ) -> None:
     """Stream a recording; run it again to resume."""
@@ -184,7 +194,8 @@ def ingest(
     target = Target(grpc, map_id, session, scene_scale, profile, storey, drift)
     fixes = Fixes(not no_gnss, gnss, _point(antenna))
     try:
-        _transfer(recording, target, Extent(limit, spool, finish, wait), json, fixes)
+        extent = Extent(limit, spool, finish, wait, "all" if all_scans else "described")
+        _transfer(recording, target, extent, json, fixes)
     except KeyboardInterrupt as error:
         typer.echo("revisit: interrupted; the same command goes on where this one ended", err=True)
         raise typer.Exit(130) from error
@@ -228,6 +239,7 @@ def _transfer(
     done = Ingested(
         session=session.name,
         scans_sent=sent.scans,
+        scans_skipped=sent.skipped,
         scans_stored=session.committed_seq,
         scans_refused=len(sent.refused),
         submaps=len(states),
@@ -328,7 +340,7 @@ def _send(client: Client, session: Session, recording: Recording, extent: Extent
     first, count = first_unsent(client, session, recording, spooled_ns), extent.count(recording)
     sent: list[int] = []
     refused: list[RefusedScan] = []
-    with progress_bar(quiet) as bar, _stream_of(client, session, extent.spool) as stream:
+    with progress_bar(quiet) as bar, _stream_of(client, session, extent) as stream:
         refused_before = len(stream.refusals)
         task = bar.add_task(f"{recording.name}: scans", total=count, completed=min(first, count))
         for index in range(first, count):
@@ -338,12 +350,14 @@ def _send(client: Client, session: Session, recording: Recording, extent: Extent
                 # A damaged or empty file of the recording costs that scan, not the drive.
                 refused.append(RefusedScan(index, scan.code.value, scan.message))
                 continue
+            skipped = stream.skipped
             stream.send(scan.points, scan.T_odom_sensor, scan.stamp_ns)
-            sent.append(index)
+            sent += [index] * (stream.skipped == skipped)
         stream.flush()
+        skipped = stream.skipped
         refusals = stream.refusals[refused_before:]
     refused += [_refused_scan(refusal, order, sent, session) for order, refusal in enumerate(refusals)]
-    return Sent(len(sent), tuple(sorted(refused, key=lambda scan: scan.index)))
+    return Sent(len(sent), tuple(sorted(refused, key=lambda scan: scan.index)), skipped)
 
 
 def _refused_scan(refusal: Refusal, order: int, sent: list[int], session: Session) -> RefusedScan:
@@ -366,11 +380,13 @@ def _emptied(client: Client, session: Session, spool: Path) -> int | None:
 
 
 def _stream_of(
-    client: Client, session: Session, spool: Path | None
+    client: Client, session: Session, extent: Extent
 ) -> AbstractContextManager[ScanStream] | AbstractContextManager[SpooledStream]:
-    if spool is None:
-        return client.stream(session, on_delay=_teller_of_delays())
-    return client.spooled_stream(session, spool, full_wait_s=float("inf"), on_delay=_teller_of_delays())
+    if extent.spool is None:
+        return client.stream(session, send=extent.send, on_delay=_teller_of_delays())
+    return client.spooled_stream(
+        session, extent.spool, full_wait_s=float("inf"), on_delay=_teller_of_delays(), send=extent.send
+    )
 
 
 def _teller_of_delays() -> Callable[[str, str], None]:

@@ -18,7 +18,10 @@ if TYPE_CHECKING:
 def plan(
     robots: Annotated[int, typer.Option(min=1, help="Robots that drive at the same time.")] = 1,
     beams: Annotated[int, typer.Option(min=1, max=256, help="Beams of their lidars.")] = 64,
-    hz: Annotated[float, typer.Option(min=0.01, max=100.0, help="Scans a second that a robot sends.")] = 10.0,
+    hz: Annotated[
+        float | None,
+        typer.Option(min=0.01, max=100.0, help="Scans a second that a robot sends; by default the described ones."),
+    ] = None,
     speed: Annotated[float, typer.Option(min=0.01, max=50.0, help="Metres a second.")] = 1.0,
     hours: Annotated[float, typer.Option(min=0.1, max=24.0, help="Hours a day that they drive.")] = 24.0,
     days: Annotated[float, typer.Option(min=1.0, max=36500.0, help="Days after which the disk is looked at.")] = 30.0,
@@ -28,9 +31,9 @@ def plan(
     json: Json = False,
 ) -> None:
     """Print the cores, memory, disk, rows and network that a fleet takes, and where each choice ends."""
-    from revisit.cli.sizing import Fleet, constants, limits_of, need_of
+    from revisit.cli.sizing import Fleet, constants, described_hz, limits_of, need_of
 
-    fleet = Fleet(robots, beams, hz, speed, hours, days, _policy(retention))
+    fleet = Fleet(robots, beams, hz or described_hz(beams, speed), speed, hours, days, _policy(retention))
     need = need_of(fleet)
     limits = limits_of(need, cores, disk_tb)
     if json:

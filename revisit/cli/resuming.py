@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.spatial import cKDTree
 
+from revisit.core.config import SubmapConfig
 from revisit.core.errors import RevisitError
 from revisit.core.geometry import se3
+from revisit.core.scan_marks import ScanMarks, marked_rows
 from revisit.evaluation.datasets import name_of_scan
 from revisit.formats import NPY, decode_cloud
 from revisit.sdk.errors import AlreadyExists, ApiError, ErrorDetails, FailedPrecondition
 
 if TYPE_CHECKING:
+    from revisit.core.geometry.se3 import Matrix4
     from revisit.core.scan import Scan
     from revisit.evaluation.datasets import Recording
     from revisit.sdk.client import Client
@@ -75,7 +79,7 @@ def require_stored(client: Client, session: Session, recording: Recording, count
     if last is None:
         lacking = f"it does not hold this recording ({recording.name}), or not as it is read now"
     else:
-        lacking = _lacking(session, recording, last, count)
+        lacking = _lacking(session, recording, last, count, _marks_of(client, session))
     if not lacking:
         return
     message = (
@@ -84,6 +88,12 @@ def require_stored(client: Client, session: Session, recording: Recording, count
         "ingest again"
     )
     raise FailedPrecondition(ErrorDetails("FAILED_PRECONDITION", "SESSION_FINISHED", message))
+
+
+def _marks_of(client: Client, session: Session) -> ScanMarks:
+    """The marks of a session's map, as services have them where nobody has set them otherwise."""
+    tau_m = client.get_map(session.name.partition("/sessions/")[0]).tau_m
+    return ScanMarks.of(replace(SubmapConfig(), tau=tau_m))
 
 
 def _at_last_stamp(session: Session, recording: Recording) -> list[int]:
@@ -103,7 +113,7 @@ def _last_stored(client: Client, session: Session, recording: Recording) -> int 
     if not all(has_place(recording, submap) for submap in cut):
         return None
     for last in _at_last_stamp(session, recording):
-        if _is_as_long(session, recording, last) and _has_its_points(client, session, cut, recording, last):
+        if _is_as_long(session, recording, last) and _has_its_points(client, cut, recording, last):
             return last
     return None
 
@@ -123,8 +133,8 @@ def _is_as_long(session: Session, recording: Recording, last: int) -> bool:
     return shorter_m > -tolerance_m if last >= session.committed_seq else abs(shorter_m) < tolerance_m
 
 
-def _has_its_points(client: Client, session: Session, cut: list[Submap], recording: Recording, last: int) -> bool:
-    """Whether points of the last submap were seen by scans of its numbers; taken for true where it cannot be had."""
+def _has_its_points(client: Client, cut: list[Submap], recording: Recording, last: int) -> bool:
+    """Whether scans up to the last one saw points of the last submap; taken for true where that cannot be had."""
     if not cut:
         return True
     try:
@@ -134,8 +144,7 @@ def _has_its_points(client: Client, session: Session, cut: list[Submap], recordi
             raise
         return True
     unseen = se3.apply(cut[-1].T_odom_submap, points[:: -(-len(points) // POINTS_COMPARED)].astype(np.float64))
-    left_out = last + 1 - session.committed_seq
-    for index in range((cut[-1].first_seq or 1) - 1, (cut[-1].last_seq or 0) + left_out):
+    for index in range(last, -1, -1):
         scan = readable_or_error(recording, index)
         if not isinstance(scan, RevisitError):
             apart_m, _ = cKDTree(scan.points).query(se3.apply(se3.inverse(scan.T_odom_sensor), unseen))
@@ -145,21 +154,33 @@ def _has_its_points(client: Client, session: Session, cut: list[Submap], recordi
     return False
 
 
-def _is_readable(recording: Recording, index: int) -> bool:
-    return not isinstance(readable_or_error(recording, index), RevisitError)
+def _lacking(session: Session, recording: Recording, last: int, count: int, marks: ScanMarks) -> str:
+    """The part of the recording that a session ending with the scan `last` lacks; empty for nothing.
 
-
-def _lacking(session: Session, recording: Recording, last: int, count: int) -> str:
-    """The part of the recording that a session ending with the scan `last` lacks; empty for nothing."""
-    stored, stamps = session.committed_seq, recording.stamps_ns
-    if last >= stored:
-        # Time must not go backwards in a session: such scans are refused.
-        in_order = np.flatnonzero(stamps[: last + 1] == np.maximum.accumulate(stamps[: last + 1]))
-        usable = sum(_is_readable(recording, int(index)) for index in in_order)
-        if usable > stored:
-            return f"it holds {stored} of the first {usable} scans of {recording.name} that can be read"
-    newest_ns = stamps[last] if last >= 0 else 0
-    for index in range(last + 1, count):
-        if stamps[index] >= newest_ns and _is_readable(recording, index):
-            return f"it ends before {name_of_scan(recording, index)} of {recording.name}"
+    It holds all scans, or those alone that descriptions are made of.
+    """
+    stored = session.committed_seq
+    if last + 1 == stored == count:
+        return ""
+    described = _described(recording, count, marks)
+    expected = sum(index <= last for index in described)
+    if stored < expected:
+        return f"it holds {stored} of the {expected} scans of {recording.name} that are described up to its last one"
+    for index in described[expected:]:
+        return f"it ends before {name_of_scan(recording, index)} of {recording.name}"
     return ""
+
+
+def _described(recording: Recording, count: int, marks: ScanMarks) -> list[int]:
+    """Those of the first `count` scans of a recording that descriptions are made of.
+
+    Damaged ones are left out, and such as lie before an earlier one: time must not go backwards in a session.
+    """
+    stamps = recording.stamps_ns[:count]
+    usable: list[tuple[int, Matrix4, int]] = []
+    for index in np.flatnonzero(stamps == np.maximum.accumulate(stamps)):
+        scan = readable_or_error(recording, int(index))
+        if not isinstance(scan, RevisitError):
+            usable.append((int(index), scan.T_odom_sensor, len(scan.points)))
+    rows = marked_rows(((pose, returns) for _, pose, returns in usable), marks)
+    return [usable[row][0] for row in rows]

@@ -14,6 +14,7 @@ from importlib.resources import files
 from typing import Any
 
 from revisit.core.config import PipelineConfig
+from revisit.core.scan_marks import ScanMarks
 from revisit.service.domain.retention import KeptScans, RetentionPolicy
 
 MEASURED_BEAMS = (16, 32, 64)
@@ -143,14 +144,18 @@ def _days(days: float, kept: float | None) -> float:
 
 def kept_share(fleet: Fleet) -> float:
     """The share of the scans that stay once the policy has done its work."""
-    policy, config = fleet.retention, PipelineConfig().submap
+    policy = fleet.retention
     if policy.keep_scans is KeptScans.ALL:
         return 1.0
     if policy.keep_scans is KeptScans.NONE:
         return 0.0
-    described = max(config.scans_per_tau + 1, config.enough_returns / of_beams("returns", fleet.beams))
-    a_metre = value("scans_kept_a_described") * described / config.tau
-    return min(1.0, a_metre * fleet.speed_m_s / fleet.hz)
+    return min(1.0, described_hz(fleet.beams, fleet.speed_m_s) / fleet.hz)
+
+
+def described_hz(beams: int, speed_m_s: float) -> float:
+    """Scans a second that descriptions are made of, which is what the SDK sends."""
+    marks = ScanMarks.of(PipelineConfig().submap)
+    return speed_m_s / marks.spacing_m(round(of_beams("returns", beams)))
 
 
 def _disk_of_days(fleet: Fleet, submaps_s: float, scans_s: float, days: float) -> Iterator[tuple[str, float]]:

@@ -38,6 +38,7 @@ from revisit.sdk.resources import SubmapPose
 from revisit.sdk.resources import Webhook
 from revisit.sdk.resources import WebhookDelivery
 from revisit.sdk.retry import RetryPolicy
+from revisit.sdk.scan_choice import Send
 from revisit.sdk.transport import OnDelay
 from revisit.sdk.transport import Refusal
 from revisit.sdk.transport import Transport
@@ -220,7 +221,7 @@ class AsyncClient:
         ...
     def watch_corrections(self, map_: str | Map, *, session: str | Session | None=None, after: int=0) -> AsyncIterator[Correction]:
         ...
-    def stream(self, session: str | Session, *, on_delay: OnDelay | None=None) -> AbstractAsyncContextManager[AwaitedStream]:
+    def stream(self, session: str | Session, *, send: Send='described', on_delay: OnDelay | None=None) -> AbstractAsyncContextManager[AwaitedStream]:
         ...
     def relocalise(self, map_: str | Map, *, storey: str | None=None, only_session: str | Session | None=None, exclude_session: str | Session | None=None) -> AbstractAsyncContextManager[AwaitedConversation]:
         ...
@@ -241,6 +242,12 @@ class AwaitedStream:
         ...
     @property
     def submap_seq(self) -> int:
+        ...
+    @property
+    def skipped(self) -> int:
+        ...
+    @property
+    def left_out(self) -> int:
         ...
     @property
     def rejected(self) -> list[tuple[int, str]]:

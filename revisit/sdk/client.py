@@ -31,6 +31,7 @@ from revisit.sdk.messages import pose_message, request_of
 from revisit.sdk.names import name_in_map, name_of
 from revisit.sdk.resources import Map, MapFile, Session, Status, Submap, Webhook
 from revisit.sdk.retry import RetryPolicy
+from revisit.sdk.scan_choice import ScanChoice, Send
 from revisit.sdk.spool import DEFAULT_MAX_BYTES, Spool
 from revisit.sdk.spooled_stream import RECONNECT, SpooledStream
 from revisit.sdk.transport import Forgetful, OnDelay, Refusal, ScanSink, Transport
@@ -201,6 +202,7 @@ class Client:
         full_wait_s: float = 0.0,
         prepare: Callable[[], None] | None = None,
         on_delay: OnDelay | None = None,
+        send: Send = "described",
     ) -> Iterator[SpooledStream]:
         """A stream by way of the file `spool` on this machine's disk; needs no connection to be opened.
 
@@ -208,25 +210,32 @@ class Client:
         `SpoolFull`. On leaving, unacknowledged scans stay in the file, for the next stream on it.
 
         `prepare` is called in the sending thread before the first connection, again after a retryable error: a robot
-        that starts without a link creates its session there. `on_delay`: see `stream`.
+        that starts without a link creates its session there. `on_delay` and `send`: see `stream`. Until the service
+        was met, a scan is sent for each 0.3 m and each 10 degrees.
         """
         name = name_of(session, names.SESSION)
         opened = Spool(Path(spool), name, max_bytes)
         opened.on_delay = on_delay
-        stream = SpooledStream(self._transport, name, opened, full_wait_s, RECONNECT, prepare)
+        stream = SpooledStream(self._transport, name, opened, full_wait_s, RECONNECT, prepare, send)
         try:
             yield stream
         finally:
             stream.close()
 
     @contextmanager
-    def stream(self, session: str | Session, *, on_delay: OnDelay | None = None) -> Iterator[ScanStream]:
+    def stream(
+        self, session: str | Session, *, send: Send = "described", on_delay: OnDelay | None = None
+    ) -> Iterator[ScanStream]:
         """A stream of scans; on leaving, every scan was answered. Resumes by itself after a disconnect.
 
         It keeps unacknowledged scans in memory; `spooled_stream` keeps them on disk. Over gRPC it waits where the
         service takes no scan now (a full quota, busy workers): `on_delay` is then called with reason and message.
+
+        Give it every scan of the robot. `send="described"` sends those that descriptions are made of, one each one or
+        two metres; "all" sends all, as REST always does.
         """
-        stream = ScanStream(self._transport.open_stream(name_of(session, names.SESSION), Forgetful(on_delay)))
+        sink = self._transport.open_stream(name_of(session, names.SESSION), Forgetful(on_delay))
+        stream = ScanStream(sink, send)
         try:
             yield stream
             stream.flush()
@@ -325,8 +334,9 @@ class Client:
 class ScanStream:
     """The open stream of a session."""
 
-    def __init__(self, sink: ScanSink) -> None:
+    def __init__(self, sink: ScanSink, send: Send = "described") -> None:
         self._sink = sink
+        self._choice = ScanChoice(send, sink.way)
         self._watch = InputWatch()
 
     @property
@@ -345,6 +355,16 @@ class ScanStream:
         return self._sink.submap_seq
 
     @property
+    def skipped(self) -> int:
+        """Scans of this stream that were not sent, as no description would be made of them."""
+        return self._choice.left_out
+
+    @property
+    def left_out(self) -> int:
+        """Scans that were sent and that the service does not keep, by the map's policy of retention."""
+        return self._sink.left_out
+
+    @property
     def rejected(self) -> list[tuple[int, str]]:
         """The refusals in short: number and reason."""
         return [(refusal.seq, refusal.reason) for refusal in self.refusals]
@@ -355,10 +375,18 @@ class ScanStream:
         return self._sink.refusals
 
     def send(self, points: PointsLike, T_odom_sensor: Any, stamp_ns: int) -> None:
-        """Send the next scan; waits while the service has enough to do. Warns of `SuspiciousInput`."""
+        """Send the next scan, if it is one of those to send; waits while the service has enough to do.
+
+        Warns of `SuspiciousInput`.
+        """
         self._watch.look(points, T_odom_sensor, stamp_ns)
         pose = pose_message(T_odom_sensor, "T_odom_sensor", required=True) or {}
-        self._sink.send(encoded(points), pose, stamp_ns)
+        scan = self._choice.look(pose, points, self._sink.marks)
+        if scan.chosen is not None:
+            self._sink.send(encoded(points), pose, stamp_ns, scan.way.travelled_m)
+            self._choice.sent(scan.chosen)
+        elif self._choice.passed_over():
+            self._sink.live(pose, stamp_ns)
 
     def flush(self) -> None:
         """Wait until every scan was answered."""

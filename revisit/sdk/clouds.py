@@ -8,7 +8,8 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from revisit.formats import NPY, QUANTISED, encode_npy, encode_quantised
+from revisit.core.errors import RevisitError
+from revisit.formats import NPY, QUANTISED, decode_cloud, encode_npy, encode_quantised
 
 MAX_QUANTISED_M = 10_000.0
 
@@ -39,6 +40,19 @@ def encoded(points: PointsLike) -> Cloud:
     if array.ndim != 2 or array.shape[1] not in (3, 4):
         raise ValueError(f"points must be (n, 3) or (n, 4), got {array.shape}")
     return Cloud(encode_npy(array[:, :3], array[:, 3] if array.shape[1] == 4 else None), NPY)
+
+
+def count_returns(points: PointsLike) -> int:
+    """How many finite points a scan has, as the service counts; 0 of a cloud that cannot be read."""
+    if not isinstance(points, Cloud):
+        array = np.asarray(points)
+        if array.ndim != 2 or np.isfinite(array[:, :3].sum()):
+            return len(array)
+        return int(np.isfinite(array[:, :3]).all(axis=1).sum())
+    try:
+        return count_returns(decode_cloud(points.data, points.content_type).points)
+    except RevisitError:
+        return 0
 
 
 def _can_be_quantised(array: NDArray[np.float32]) -> bool:

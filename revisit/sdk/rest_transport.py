@@ -15,6 +15,7 @@ from google.protobuf.json_format import ParseDict, ParseError
 from google.protobuf.message import Message
 
 from revisit.api.calls import CALLS
+from revisit.core.scan_marks import ScanMarks
 from revisit.sdk.clouds import Cloud
 from revisit.sdk.credentials import Credentials
 from revisit.sdk.errors import ApiError, ErrorDetails, FailedPrecondition, error_of, unreachable
@@ -24,6 +25,7 @@ from revisit.sdk.json_answers import message_of
 from revisit.sdk.messages import cloud_message
 from revisit.sdk.reading import Json
 from revisit.sdk.retry import RetryPolicy
+from revisit.sdk.scan_choice import Way
 from revisit.sdk.transport import SILENT_S, Forgetful, Refusal, StreamJournal, listed
 from revisit.v1 import event_pb2, geometry_pb2, ingest_pb2, loop_closure_pb2, map_pb2, mapping_pb2, session_pb2
 
@@ -168,14 +170,18 @@ class RestScanSink:
         self.submaps: list[str] = []
         self.submap_seq = 0
         self.refusals: list[Refusal] = []
+        self.marks: ScanMarks | None = None
+        self.way: Way | None = None
+        self.left_out = 0
 
     @property
     def committed_seq(self) -> int:
         """The last scan that is stored durably."""
         return self._committed_seq
 
-    def send(self, cloud: Cloud, pose: Json, stamp_ns: int) -> None:
-        """See ScanSink."""
+    def send(self, cloud: Cloud, pose: Json, stamp_ns: int, travelled_m: float | None = None) -> None:
+        """See ScanSink. Over HTTP all scans are sent: the service itself counts the way."""
+        del travelled_m
         seq = self._committed_seq + 1
         try:
             ack = self._transport.append_scan(self._session, seq, pose, stamp_ns, cloud)
@@ -186,10 +192,14 @@ class RestScanSink:
             self.refusals.append(Refusal(seq, error.reason, error.message))
             return
         self._committed_seq = ack.committed_seq
+        self.left_out += ack.left_out
         self._journal.committed(self._committed_seq)
         if ack.HasField("submap"):
             self.submaps.append(ack.submap.submap.name)
             self.submap_seq = ack.submap.submap.seq
+
+    def live(self, pose: Json, stamp_ns: int) -> None:
+        """See ScanSink: there is no connection to hold."""
 
     def check(self) -> None:
         """See ScanSink: there is no connection that could end."""

@@ -20,11 +20,13 @@ import grpc
 from google.protobuf.json_format import ParseDict
 
 from revisit.core.errors import RevisitError
+from revisit.core.scan_marks import ScanMarks
 from revisit.sdk.clouds import Cloud
 from revisit.sdk.errors import ApiError, ErrorDetails, Unavailable, closed, error_of, unreachable
 from revisit.sdk.grpc_answers import Answers, LostCall
 from revisit.sdk.reading import Json
 from revisit.sdk.retry import RetryPolicy
+from revisit.sdk.scan_choice import Way, marks_of, way_of
 from revisit.sdk.transport import Forgetful, Refusal, StreamJournal
 from revisit.v1 import cloud_pb2, ingest_pb2
 
@@ -46,11 +48,13 @@ class _Pending:
     cloud: Cloud
     pose: Json
     stamp_ns: int
+    travelled_m: float | None = None
 
     def message(self, seq: int) -> ingest_pb2.StreamScansRequest:
         """The scan as number `seq`."""
         encoded = cloud_pb2.EncodedCloud(content_type=self.cloud.content_type, data=self.cloud.data)
-        scan = ingest_pb2.Scan(seq=seq, stamp_ns=self.stamp_ns, cloud=cloud_pb2.Cloud(encoded=encoded))
+        cloud = cloud_pb2.Cloud(encoded=encoded)
+        scan = ingest_pb2.Scan(seq=seq, stamp_ns=self.stamp_ns, cloud=cloud, travelled_m=self.travelled_m)
         ParseDict(self.pose, scan.t_odom_sensor)
         return ingest_pb2.StreamScansRequest(scan=scan)
 
@@ -91,6 +95,9 @@ class GrpcScanSink:
         self.submap_seq = 0
         self.loops: list[str] = []
         self.refusals: list[Refusal] = []
+        self.marks: ScanMarks | None = None
+        self.way: Way | None = None
+        self.left_out = 0
         self._thread = threading.Thread(target=self._run, name=f"scans {session}", daemon=True)
         self._thread.start()
         with self._changed:
@@ -101,13 +108,21 @@ class GrpcScanSink:
         """The last scan that is stored durably."""
         return self._committed_seq
 
-    def send(self, cloud: Cloud, pose: Json, stamp_ns: int) -> None:
+    def send(self, cloud: Cloud, pose: Json, stamp_ns: int, travelled_m: float | None = None) -> None:
         """Take the next scan; waits while the window is full. Raises ApiError."""
         with self._changed:
             self._wait_until(lambda: self._has_room(len(cloud.data)))
-            self._window.append(_Pending(cloud, pose, stamp_ns))
+            self._window.append(_Pending(cloud, pose, stamp_ns, travelled_m))
             self._held_bytes += len(cloud.data)
             self._transmit()
+
+    def live(self, pose: Json, stamp_ns: int) -> None:
+        """See ScanSink. A service that announces no marks knows no poses without scans."""
+        with self._changed:
+            if self._open and self.marks is not None:
+                told = ingest_pb2.Pose(stamp_ns=stamp_ns)
+                ParseDict(pose, told.t_odom_sensor)
+                self._requests.put(ingest_pb2.StreamScansRequest(pose=told))
 
     def check(self) -> None:
         """See ScanSink."""
@@ -203,7 +218,9 @@ class GrpcScanSink:
         """Take an answer in; whether the service asked to leave. With the lock held."""
         match response.WhichOneof("response"):
             case "opened":
-                self._journal.opened(response.opened.committed_seq, response.opened.resume_token)
+                self.marks = marks_of(response.opened)
+                self.way = self.way if self._met else way_of(response.opened)
+                self._journal.opened(response.opened.committed_seq, response.opened.resume_token, self.marks)
                 self._commit(response.opened.committed_seq)
                 self._credits = max(1, response.opened.credits)
                 self._window_bytes = response.opened.window_bytes or DEFAULT_WINDOW_BYTES
@@ -211,6 +228,7 @@ class GrpcScanSink:
                 self._sent, self._unanswered, self._resend_at = 0, 0, None
             case "ack":
                 self._unanswered -= response.ack.credits
+                self.left_out += response.ack.left_out
                 self._journal.committed(response.ack.committed_seq)
                 self.submap_seq = max(self.submap_seq, response.ack.submap_seq)
                 self._commit(response.ack.committed_seq)

@@ -15,17 +15,19 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from revisit.core.errors import ErrorCode, RevisitError
+from revisit.core.scan_marks import ScanMarks
 from revisit.sdk.clouds import Cloud
 from revisit.sdk.reading import Json
+from revisit.sdk.scan_choice import Way, pose_matrix
 from revisit.sdk.transport import OnDelay
 
 DEFAULT_MAX_BYTES = 4 * 2**30
-FORMAT = 1
-"""The `user_version` of files that `_SCHEMA` made."""
+FORMAT = 2
+"""The `user_version` of files that `_SCHEMA` and `_SCHEMA_2` made."""
 
 _SCHEMA = """
 BEGIN IMMEDIATE;
@@ -42,6 +44,17 @@ INSERT INTO stream VALUES ('', NULL, '', NULL);
 PRAGMA user_version = 1;
 COMMIT;
 """
+
+_SCHEMA_2 = """
+BEGIN IMMEDIATE;
+ALTER TABLE stream ADD COLUMN marks TEXT NOT NULL DEFAULT '';
+ALTER TABLE stream ADD COLUMN travelled_m REAL;
+ALTER TABLE stream ADD COLUMN last_pose TEXT;
+ALTER TABLE scans ADD COLUMN travelled_m REAL;
+PRAGMA user_version = 2;
+COMMIT;
+"""
+"""The marks of the service, and how far the session had travelled at the last scan and at each that waits."""
 
 
 class SpoolFull(RevisitError):
@@ -70,6 +83,7 @@ class SpooledScan:
     stamp_ns: int
     pose: Json
     cloud: Cloud
+    travelled_m: float | None = None
 
 
 @dataclass(frozen=True)
@@ -109,6 +123,7 @@ class Spool:
         """
         self._max_bytes = max_bytes
         self.on_delay: OnDelay | None = None
+        self._marks: ScanMarks | None = None
         self._changed = threading.Condition(threading.RLock())
         self._lock_file = _locked(path)
         try:
@@ -127,28 +142,49 @@ class Spool:
             (dead,) = self._db.execute("SELECT count(*) FROM dead_letters").fetchone()
             return SpoolState(session, committed_seq, self._pending, self._pending_bytes, dead, stamp_ns)
 
-    def append(self, cloud: Cloud, pose: Json, stamp_ns: int, wait_s: float = 0.0) -> None:
+    @property
+    def marks(self) -> ScanMarks | None:
+        """The scans that descriptions are made of; None before the service was met."""
+        return self._marks
+
+    @property
+    def way(self) -> Way | None:
+        """How far the session had travelled at the last scan; None before the first."""
+        with self._changed, _translated():
+            travelled_m, pose = self._db.execute("SELECT travelled_m, last_pose FROM stream").fetchone()
+        return None if pose is None else Way(travelled_m, pose_matrix(json.loads(pose)))
+
+    def append(
+        self, cloud: Cloud, pose: Json, stamp_ns: int, wait_s: float = 0.0, travelled_m: float | None = None
+    ) -> None:
         """Put a scan on the disk. Raises SpoolFull where there is no room for it within `wait_s`; SpoolUnusable."""
         with self._changed, _translated():
             if not self._changed.wait_for(lambda: self._has_room(len(cloud.data)), wait_s):
                 raise SpoolFull(f"the spool holds {self._pending_bytes} of {self._max_bytes} bytes")
             with self._transaction():
                 self._db.execute(
-                    "INSERT INTO scans (id, stamp_ns, pose, content_type, cloud) VALUES (?, ?, ?, ?, ?)",
-                    (self._last_number + 1, stamp_ns, json.dumps(pose), cloud.content_type, cloud.data),
+                    "INSERT INTO scans (id, stamp_ns, pose, content_type, cloud, travelled_m) "
+                    "VALUES (?, ?, ?, ?, ?, ?)",
+                    (self._last_number + 1, stamp_ns, json.dumps(pose), cloud.content_type, cloud.data, travelled_m),
                 )
-                self._db.execute("UPDATE stream SET last_stamp_ns = ?", (stamp_ns,))
+                self._db.execute(
+                    "UPDATE stream SET last_stamp_ns = ?, travelled_m = ?, last_pose = ?",
+                    (stamp_ns, travelled_m, None if travelled_m is None else json.dumps(pose)),
+                )
             self._last_number += 1
             self._count(1, len(cloud.data))
 
     def after(self, number: int, timeout_s: float) -> SpooledScan | None:
         """The first scan behind `number`, waited for."""
-        query = "SELECT id, stamp_ns, pose, content_type, cloud FROM scans WHERE id > ? ORDER BY id LIMIT 1"
+        columns = "id, stamp_ns, pose, content_type, cloud, travelled_m"
+        query = f"SELECT {columns} FROM scans WHERE id > ? ORDER BY id LIMIT 1"  # noqa: S608
         with self._changed, _translated():
             row = self._db.execute(query, (number,)).fetchone()
             if row is None and self._changed.wait(timeout_s):
                 row = self._db.execute(query, (number,)).fetchone()
-        return None if row is None else SpooledScan(row[0], row[1], json.loads(row[2]), Cloud(row[4], row[3]))
+        if row is None:
+            return None
+        return SpooledScan(row[0], row[1], json.loads(row[2]), Cloud(row[4], row[3]), row[5])
 
     def dead_letters(self) -> list[DeadLetter]:
         """The scans that the service refused for good, oldest first."""
@@ -179,7 +215,7 @@ class Spool:
             _, committed_seq, token, _ = self._stream()
             return token, committed_seq or 0
 
-    def opened(self, committed_seq: int, resume_token: str) -> None:
+    def opened(self, committed_seq: int, resume_token: str, marks: ScanMarks | None = None) -> None:
         """See `revisit.sdk.transport.StreamJournal`. Raises SpoolDisagrees."""
         with self._changed, _translated():
             if self._stream()[1] is None:
@@ -190,6 +226,10 @@ class Spool:
             if resume_token:
                 with self._transaction():
                     self._db.execute("UPDATE stream SET resume_token = ?", (resume_token,))
+            if marks != self._marks:
+                with self._transaction():
+                    self._db.execute("UPDATE stream SET marks = ?", (json.dumps(asdict(marks)) if marks else "",))
+                self._marks = marks
 
     def committed(self, committed_seq: int) -> None:
         """See `revisit.sdk.transport.StreamJournal`. Raises SpoolDisagrees."""
@@ -231,6 +271,8 @@ class Spool:
         self._pending, self._pending_bytes, last_number = map(int, self._db.execute(query).fetchone())
         # SQLite would begin at 1 again once all scans were sent, and a connection that is open has seen those numbers.
         self._last_number = last_number
+        (marks,) = self._db.execute("SELECT marks FROM stream").fetchone()
+        self._marks = ScanMarks(**json.loads(marks)) if marks else None
         known = self._stream()[0]
         if session in ("", known):
             return
@@ -238,8 +280,9 @@ class Spool:
             raise SpoolUnusable(f"the spool holds {self._pending} scans of {known}; send those first")
         with self._transaction():
             self._db.execute("UPDATE stream SET session = ?, committed_seq = NULL, resume_token = ''", (session,))
-            self._db.execute("UPDATE stream SET last_stamp_ns = NULL")
+            self._db.execute("UPDATE stream SET last_stamp_ns = NULL, marks = '', travelled_m = NULL, last_pose = NULL")
             self._db.execute("DELETE FROM dead_letters")
+        self._marks = None
 
     def _stream(self) -> tuple[str, int | None, str, int | None]:
         query = "SELECT session, committed_seq, resume_token, last_stamp_ns FROM stream"
@@ -293,11 +336,11 @@ def _opened(path: Path) -> sqlite3.Connection:
     for pragma in ("journal_mode=WAL", "synchronous=FULL"):
         connection.execute(f"PRAGMA {pragma}")
     (version,) = connection.execute("PRAGMA user_version").fetchone()
-    if version == 0:
-        connection.executescript(_SCHEMA)
-    elif version != FORMAT:
+    if version > FORMAT:
         connection.close()
         raise SpoolUnusable(f"{path} is of format {version}, this version reads {FORMAT}")
+    for step in (_SCHEMA, _SCHEMA_2)[version:]:
+        connection.executescript(step)
     return connection
 
 

@@ -12,7 +12,9 @@ from revisit.sdk.clouds import PointsLike, encoded
 from revisit.sdk.errors import ApiError
 from revisit.sdk.input_watch import InputWatch
 from revisit.sdk.messages import pose_json
+from revisit.sdk.reading import Json
 from revisit.sdk.retry import RetryPolicy
+from revisit.sdk.scan_choice import UNMET, ScanChoice, Send
 from revisit.sdk.spool import DeadLetter, Spool, SpoolState
 from revisit.sdk.transport import Refusal, ScanSink, Transport
 
@@ -37,8 +39,10 @@ class SpooledStream:
         full_wait_s: float,
         reconnect: RetryPolicy,
         prepare: Callable[[], None] | None = None,
+        send: Send = "described",
     ) -> None:
         """A full spool refuses a scan after `full_wait_s`; for `prepare` see `SpoolSender`."""
+        self._choice = ScanChoice(send, spool.way)
         self._spool = spool
         self._full_wait_s = full_wait_s
         self._watch = InputWatch()
@@ -75,17 +79,29 @@ class SpooledStream:
         return self._spool.dead_letters()
 
     @property
+    def skipped(self) -> int:
+        """Scans of this stream that were not sent, as no description would be made of them."""
+        return self._choice.left_out
+
+    @property
     def submaps(self) -> list[str]:
         """Names of the submaps that the scans completed since this stream was opened."""
         return self._sender.submaps
 
     def send(self, points: PointsLike, T_odom_sensor: Any, stamp_ns: int) -> None:
-        """Store the next scan on the robot. Raises core.errors.BadTransform, SpoolFull, SpoolUnusable.
+        """Store the next scan on the robot, if it is one of those to send. Raises core.errors.BadTransform, SpoolFull,
+        SpoolUnusable.
 
         Warns of `SuspiciousInput`.
         """
         self._watch.look(points, T_odom_sensor, stamp_ns)
-        self._spool.append(encoded(points), pose_json(T_odom_sensor), stamp_ns, self._full_wait_s)
+        pose = pose_json(T_odom_sensor)
+        scan = self._choice.look(pose, points, self._spool.marks or UNMET)
+        if scan.chosen is not None:
+            self._spool.append(encoded(points), pose, stamp_ns, self._full_wait_s, scan.way.travelled_m)
+            self._choice.sent(scan.chosen)
+        elif self._choice.passed_over():
+            self._sender.live(pose, stamp_ns)
 
     def flush(self, timeout_s: float = float("inf")) -> None:
         """Wait until the service has answered every scan. Raises the error that ended the sending; TimeoutError."""
@@ -126,6 +142,12 @@ class SpoolSender:
         """Names of the submaps that the scans completed so far."""
         sink = self._sink
         return self._submaps + (sink.submaps if sink is not None else [])
+
+    def live(self, pose: Json, stamp_ns: int) -> None:
+        """Tell the service that the robot is there, if there is a connection."""
+        sink = self._sink
+        if sink is not None:
+            sink.live(pose, stamp_ns)
 
     def wait_until_empty(self, timeout_s: float) -> None:
         """Raises the error that ended the sending; TimeoutError."""
@@ -182,7 +204,7 @@ class SpoolSender:
         while not self._closing.is_set():
             scan = self._spool.after(number, POLL_S)
             if scan is not None:
-                sink.send(scan.cloud, scan.pose, scan.stamp_ns)
+                sink.send(scan.cloud, scan.pose, scan.stamp_ns, scan.travelled_m)
                 number = scan.number
             else:
                 sink.check()

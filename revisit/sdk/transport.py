@@ -6,8 +6,10 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any, Protocol
 
+from revisit.core.scan_marks import ScanMarks
 from revisit.sdk.clouds import Cloud
 from revisit.sdk.reading import Json
+from revisit.sdk.scan_choice import Way
 from revisit.v1 import event_pb2, loop_closure_pb2, mapping_pb2
 
 SILENT_S = 45.0
@@ -29,14 +31,24 @@ class ScanSink(Protocol):
     submaps: list[str]
     submap_seq: int
     refusals: list[Refusal]
+    marks: ScanMarks | None
+    """The scans that descriptions are made of; None where the service has not said so."""
+    way: Way | None
+    """Where the session stood when it was met first; None where that is not known."""
+    left_out: int
+    """Scans that the service has acknowledged and does not keep."""
 
     @property
     def committed_seq(self) -> int:
         """The last scan that is stored durably."""
         ...
 
-    def send(self, cloud: Cloud, pose: Json, stamp_ns: int) -> None:
+    def send(self, cloud: Cloud, pose: Json, stamp_ns: int, travelled_m: float | None = None) -> None:
         """Take the next scan; may wait for the service. Raises ApiError."""
+        ...
+
+    def live(self, pose: Json, stamp_ns: int) -> None:
+        """Tell that the robot is there, if there is a connection."""
         ...
 
     def check(self) -> None:
@@ -63,8 +75,8 @@ class StreamJournal(Protocol):
         """The token of the session as it was met, empty before, and the last scan known to be stored."""
         ...
 
-    def opened(self, committed_seq: int, resume_token: str) -> None:
-        """The service has every scan up to `committed_seq`."""
+    def opened(self, committed_seq: int, resume_token: str, marks: ScanMarks | None = None) -> None:
+        """The service has every scan up to `committed_seq`, and says by which `marks` it describes."""
         ...
 
     def committed(self, committed_seq: int) -> None:
@@ -90,7 +102,7 @@ class Forgetful:
         """See StreamJournal."""
         return "", 0
 
-    def opened(self, committed_seq: int, resume_token: str) -> None:
+    def opened(self, committed_seq: int, resume_token: str, marks: ScanMarks | None = None) -> None:
         """See StreamJournal."""
 
     def committed(self, committed_seq: int) -> None:

@@ -51,7 +51,7 @@ class IngestServiceServicer:
 
         The client sends Open first and learns the last durable scan; it then sends scans in order, never more unacked
         than its credits. A scan is acknowledged only after its commit; one that is stored already is acknowledged
-        again. A gap, a bad scan, or other content under the number of a stored scan (ALREADY_EXISTS: its odometry began
+        again. A client may send a Pose between scans, which uses no credit. A gap, a bad scan, or other content under the number of a stored scan (ALREADY_EXISTS: its odometry began
         again, so it belongs into a new session) gets a Nack and the stream lives. After Drain, or after a lost connection,
         the client opens again and resends from committed_seq + 1. The client half-closes when done; the stream ends with
         OK once every scan was answered.

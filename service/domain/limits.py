@@ -83,6 +83,8 @@ RETENTION_DAYS = Range(1 / 24, 36_500.0, "days")
 # Clouds
 SCAN_SEQ = Range(1, LARGEST_INTEGER)
 STAMP_NS = Range(0, LARGEST_INTEGER)
+TRAVELLED_M = Range(0.0, 1e9, "metres")
+"""Since the beginning of a session, as its robot counts."""
 SCAN_POINTS = 500_000
 SUBMAP_POINTS = 2_000_000
 """Of a posted submap and of a query by cloud."""

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from revisit.core.config import PipelineConfig, Profile
 from revisit.core.profiles import profile_config
 from revisit.service.domain.records import MapRecord
-from revisit.service.domain.retention import KEEPS_ALL, RetentionPolicy
+from revisit.service.domain.retention import KEEPS_ALL, RetentionPolicy, parsed
 
 
 @dataclass(frozen=True)
@@ -29,6 +29,10 @@ class Policy:
     map_versions_kept: int = 20
     webhook_private_networks: bool = False
     retention: RetentionPolicy = KEEPS_ALL
+
+    def kept_of(self, record: MapRecord) -> RetentionPolicy:
+        """What a map keeps, by its own policy of retention or by that of the service."""
+        return self.retention if record.retention is None else parsed(record.retention)
 
     def for_map(self, record: MapRecord) -> PipelineConfig:
         """The parameters of the method in the profile of the map, with its overrides."""

@@ -131,9 +131,9 @@ class SessionRecord:
 
 @dataclass(frozen=True)
 class ScanRecord:
-    """A scan: its pose, how far the session had travelled, and the blob of its cloud ("" where retention removed it).
+    """A scan: its pose, how far the session had travelled, and the blob of its cloud ("" where it is not kept).
 
-    `chosen`: kept although its window's other scans are not, because a description was made of it.
+    `chosen`: descriptions are made of it (see `core.scan_marks`).
     """
 
     tenant: TenantId

@@ -18,6 +18,7 @@ from revisit.service.features.ingest.calls import OpenedStream, ResumePoint
 from revisit.service.status import STATUS, retry_after_s
 from revisit.service.use_cases import UseCases
 from revisit.service.wire import names
+from revisit.service.wire.fields import fields_of
 from revisit.service.wire.requests import append_scan
 from revisit.v1 import ingest_pb2 as pb
 
@@ -78,9 +79,7 @@ class ScanStreams:
         opening: pb.Open,
     ) -> AsyncIterator[pb.StreamScansResponse]:
         try:
-            where = pb.Opened(committed_seq=opened.committed_seq, resume_token=opened.resume_token)
-            where.credits, where.window_bytes = CREDITS, WINDOW_BYTES
-            yield pb.StreamScansResponse(opened=where)
+            yield pb.StreamScansResponse(opened=_opened(opened))
             async for response in stream.run(requests, opening):
                 yield response
         finally:
@@ -97,6 +96,7 @@ class _ScanStream:
         self._use_cases = use_cases
         self._fenced = asyncio.Event()
         self._scans = ScanStream.of(opened.session_number)
+        self._committed_seq = opened.committed_seq
         self._handler: asyncio.Task[Any] = asyncio.current_task()  # type: ignore[assignment]  # made by its call
         self._answers: asyncio.Queue[pb.StreamScansResponse | None] = asyncio.Queue(maxsize=2 * CREDITS)
 
@@ -138,8 +138,12 @@ class _ScanStream:
 
     async def _read(self, requests: AsyncIterator[pb.StreamScansRequest]) -> None:
         async for request in requests:
-            if request.WhichOneof("request") != "scan":
-                raise StreamNotOpen("after Open, a stream carries scans only")
+            kind = request.WhichOneof("request")
+            if kind == "pose":
+                await self._send(ack=pb.Ack(committed_seq=self._committed_seq))
+                continue
+            if kind != "scan":
+                raise StreamNotOpen("after Open, a stream carries scans and poses only")
             try:
                 await self._acknowledge(await self._append(request.scan))
             except Draining:
@@ -157,7 +161,9 @@ class _ScanStream:
 
     async def _acknowledge(self, ack: ScanAck) -> None:
         submap_seq = 0 if ack.submap is None else ack.submap.submap.seq
-        await self._send(ack=pb.Ack(committed_seq=ack.committed_seq, credits=1, submap_seq=submap_seq))
+        self._committed_seq = ack.committed_seq
+        told = pb.Ack(committed_seq=ack.committed_seq, credits=1, submap_seq=submap_seq, left_out=ack.left_out)
+        await self._send(ack=told)
         if ack.submap is not None:
             posted = ack.submap
             finished = pb.SubmapFinished(
@@ -209,6 +215,11 @@ class _ScanStream:
             await asyncio.wait_for(self._answers.put(pb.StreamScansResponse(**answer)), UNREAD_LIMIT_S)
         except TimeoutError as error:
             raise ClientReadsNothing from error
+
+
+def _opened(stream: OpenedStream) -> pb.Opened:
+    marks = fields_of(pb.ScanMarks, stream.marks)
+    return pb.Opened(**fields_of(pb.Opened, stream, credits=CREDITS, window_bytes=WINDOW_BYTES, marks=marks))
 
 
 async def _open_of(requests: AsyncIterator[pb.StreamScansRequest]) -> pb.Open:

@@ -112,6 +112,12 @@ class ScanRepository(Repository[ScanRecord], Protocol):
         """The first scan of a session taken at or beyond `travelled_m`."""
         ...
 
+    def chosen_between(
+        self, tenant: TenantId, map_id: str, session_id: str, first: int, last: int, newest: int | None = None
+    ) -> list[ScanRecord]:
+        """The chosen scans of a session with numbers from `first` to `last`, in order; at most the `newest` of them."""
+        ...
+
     def points_of(self, tenant: TenantId) -> int:
         """How many points the clouds of a tenant's scans have together."""
         ...

@@ -78,7 +78,8 @@ def event_kinds(kinds: Iterable[int]) -> list[EventKind]:
 
 def append_scan(session: SessionKey, scan: ingest_pb2.Scan) -> AppendScan:
     """The scan to append. Raises BadField, BadTransform, EmptyCloud, MalformedBody."""
-    return AppendScan(session, scan.seq, scan.stamp_ns, pose(scan, "t_odom_sensor"), cloud(scan.cloud))
+    of = (session, scan.seq, scan.stamp_ns, pose(scan, "t_odom_sensor"), cloud(scan.cloud))
+    return AppendScan(*of, travelled_m=optional(scan, "travelled_m"))
 
 
 def download(file_format: int) -> tuple[DownloadKind, str | None]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 from dataclasses import replace
+from functools import partial
 
 import pytest
 
@@ -238,6 +239,11 @@ def test_delete_takes_what_find_would_give_of_this_tenant(write, read):
     assert read(lambda uow: (uow.maps.count_of_all_tenants(), uow.maps.count_of_all_tenants(map_id="b"))) == (1, 0)
 
 
+def chosen_seqs(read, first, last, newest=None):
+    scans = read(lambda uow: uow.scans.chosen_between(TENANT, "town", "monday", first, last, newest))
+    return [scan.seq for scan in scans]
+
+
 def test_scans_are_found_by_distance_and_by_number(write, read):
     def add(uow):
         uow.maps.add(a_map())
@@ -249,6 +255,9 @@ def test_scans_are_found_by_distance_and_by_number(write, read):
     assert read(lambda uow: uow.scans.first_seq_from(TENANT, "town", "monday", 3.0)) == 3
     assert read(lambda uow: uow.scans.first_seq_from(TENANT, "town", "monday", 3.1)) == 4
     assert read(lambda uow: uow.scans.first_seq_from(TENANT, "town", "monday", 99.0)) is None
+    write(lambda uow: uow.scans.revise(uow.scans.with_seqs(TENANT, "town", "monday", [1, 3, 5]), chosen=True))
+    chosen = partial(chosen_seqs, read)
+    assert (chosen(1, 5), chosen(2, 4), chosen(1, 5, 2), chosen(6, 9)) == ([1, 3, 5], [3], [3, 5], [])
     found = read(lambda uow: uow.scans.with_seqs(TENANT, "town", "monday", [4, 2, 99]))
     assert [scan.seq for scan in found] == [2, 4]
 

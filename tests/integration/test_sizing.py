@@ -74,9 +74,10 @@ def test_the_shorter_scans_are_kept_the_less_disk_they_take():
     assert sizes[0] > sizes[1] > sizes[2] and sizes[1] > sizes[3] > sizes[4] > sizes[5] == 0.0
 
 
-def test_a_scan_a_metre_is_all_that_a_description_takes():
-    assert kept_share(Fleet(1, retention=parsed("scans=described"), **A_SCAN_A_METRE)) == 1.0
-    assert kept_share(Fleet(1, hz=10.0, retention=parsed("scans=described"))) == pytest.approx(0.1485)
+def test_a_scan_each_two_metres_is_all_that_a_description_takes():
+    assert kept_share(Fleet(1, hz=0.5, retention=parsed("scans=described"))) == 1.0
+    assert kept_share(Fleet(1, hz=10.0, retention=parsed("scans=described"))) == pytest.approx(0.05)
+    assert kept_share(Fleet(1, 16, hz=10.0, retention=parsed("scans=described"))) == pytest.approx(0.2)
 
 
 def test_one_gateway_ends_before_sqlite_does():

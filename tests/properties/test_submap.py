@@ -13,7 +13,7 @@ from revisit.core.config import SubmapConfig
 from revisit.core.errors import BadField
 from revisit.core.geometry import se3
 from revisit.core.scan import Scan
-from revisit.core.submap import Submap, SubmapBuilder, chosen_scans, next_window_start
+from revisit.core.submap import Submap, SubmapBuilder, next_window_start
 
 CONFIG = SubmapConfig(tau=10.0, stride=5.0, max_range=80.0, min_range=1.0)
 
@@ -151,14 +151,6 @@ def test_a_cloud_accumulated_elsewhere_keeps_every_point():
     np.testing.assert_array_equal(submap.points, points)
     np.testing.assert_allclose(submap.position, [1, 2, 3])
     np.testing.assert_array_equal(submap.origins, np.zeros((1, 3)))
-
-
-def test_a_robot_that_stands_still_for_most_of_a_window_has_seen_the_rest_of_it_too():
-    travelled_m = np.concatenate([np.linspace(0.0, 5.0, 34), np.full(300, 5.0), np.linspace(5.0, 10.0, 33)])
-    positions = np.column_stack([travelled_m, np.zeros((len(travelled_m), 2))])
-    chosen = chosen_scans(positions, np.full(len(travelled_m), 118_000), CONFIG)
-    assert len(chosen) == 11
-    assert np.diff(travelled_m[chosen]).max() < 1.3
 
 
 def test_scans_with_more_points_than_there_is_room_for_are_refused():

@@ -14,7 +14,7 @@ from rich.console import Console
 
 from revisit.cli.demo.own_service import running_service
 from revisit.cli.demo.report import show, show_map
-from revisit.cli.demo.robots import STREAMED, odometry_scans, post_drive, stream_drive
+from revisit.cli.demo.robots import STREAMED, Window, odometry_scans, post_drive, stream_drive
 from revisit.cli.demo.steps import Step, step
 from revisit.core.config import PipelineConfig
 from revisit.evaluation.demo import (
@@ -48,7 +48,7 @@ class Drives:
 
     drives: tuple[DemoDrive, ...]
     truth: dict[str, TrueSubmap]
-    windows: dict[str, range]
+    windows: dict[str, Window]
 
 
 @dataclass(frozen=True)

@@ -29,18 +29,9 @@ SAVE_S = 1.0
 
 @dataclass
 class Journey:
-    """What the robot did last: the scan that was offered last, and the pose of the one that was sent last."""
+    """What the robot did last: the scan that was offered last."""
 
     last: LastScan | None = None
-    T_odom_sent: se3.Matrix4 | None = None
-
-    def travelled(self, T_odom_sensor: se3.Matrix4, min_travel_m: float, min_turn_deg: float) -> bool:
-        """Whether the sensor has moved on since the last scan that was sent."""
-        if self.T_odom_sent is None:
-            return True
-        step = se3.inverse(self.T_odom_sent) @ T_odom_sensor
-        turn_deg = np.degrees(se3.rotation_angle(step))
-        return bool(np.linalg.norm(step[:3, 3]) >= min_travel_m or turn_deg >= min_turn_deg)
 
 
 class Bridge:
@@ -164,7 +155,7 @@ class Bridge:
         self._outbox.close()
 
     def _offer(self, posed: PosedCloud) -> None:
-        """A cloud with its pose: judged, then sent if the robot has moved on."""
+        """A cloud with its pose: judged, then given to the stream of its session, which chooses."""
         session_id = self._journey.last.session_id if self._journey.last else ""
         scan = LastScan(
             session_id, self._boot, self.odom_frame, posed.sensor_frame, posed.stamp_ns, posed.T_odom_sensor
@@ -176,8 +167,7 @@ class Bridge:
         if lost is not None or isinstance(verdict, Begun):
             scan = replace(scan, session_id=self._begun(lost or _reason(verdict)))
         self._remember(scan)
-        if self._journey.travelled(posed.T_odom_sensor, self._parameters.min_travel_m, self._parameters.min_turn_deg):
-            self._send(posed)
+        self._send(posed)
 
     def _begun(self, reason: str) -> str:
         session_id = new_session_id(self._parameters.robot_id, self._outbox.session_ids)
@@ -195,7 +185,6 @@ class Bridge:
         except RevisitError as error:
             self._complain(error.message)
             return
-        self._journey.T_odom_sent = posed.T_odom_sensor
         self._refused.clear()
 
     def _points(self, posed: PosedCloud) -> Points:

@@ -38,6 +38,7 @@ from revisit.core.geometry import se3
 from revisit.sdk.client import Client
 from revisit.sdk.errors import ApiError
 from revisit.sdk.resources import Relocalisation
+from revisit.sdk.scan_choice import Send
 from revisit_bridge.answers import Correction, News, ServiceAnswers
 from revisit_bridge.bridge import Bridge
 from revisit_bridge.map_grid import MapGrids, ServiceMap
@@ -95,7 +96,8 @@ class BridgeNode(Node):
         own = self.parameters
         folder = Path(own.spool_dir).expanduser() if own.spool_dir else Path.home() / ".revisit" / "spool"
         self._client = Client.grpc(own.service)
-        sessions = ServiceSessions(self._client, own.robot_id, own.spool_max_mb * 2**20, own.drift)
+        send: Send = "all" if own.send == "all" else "described"
+        sessions = ServiceSessions(self._client, own.robot_id, own.spool_max_mb * 2**20, own.drift, send)
         outbox = Outbox(folder, own.map_id, sessions, time.monotonic, own.storey)
         answers = ServiceAnswers(self._client)
         state_file, relocaliser = folder / "last_scan.json", Relocaliser(self._conversation)

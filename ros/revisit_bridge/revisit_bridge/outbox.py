@@ -14,6 +14,7 @@ from revisit.core.errors import RevisitError
 from revisit.core.geometry import se3
 from revisit.sdk.client import Client
 from revisit.sdk.errors import ApiError
+from revisit.sdk.scan_choice import Send
 from revisit.sdk.spool import Spool, SpoolState
 from revisit_bridge.messages import Points
 
@@ -61,11 +62,12 @@ class ServiceSessions:
     robot_id: str
     max_bytes: int
     drift: str = ""
+    send: Send = "described"
 
     def stream(self, session: str, spool: Path, storey: str) -> contextlib.AbstractContextManager[Stream]:
         """See Sessions."""
         return self.client.spooled_stream(
-            session, spool, max_bytes=self.max_bytes, prepare=lambda: self._create(session, storey)
+            session, spool, max_bytes=self.max_bytes, prepare=lambda: self._create(session, storey), send=self.send
         )
 
     def finish(self, session: str) -> None:

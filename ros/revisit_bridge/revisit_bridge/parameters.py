@@ -37,8 +37,9 @@ class Parameters:
     map_frame: str = _parameter("map", "parent of the published transform")
     pose_wait_s: float = _parameter(2.0, "seconds that a cloud waits for its pose, then it is left out")
     max_waiting_clouds: int = _parameter(30, "clouds that wait for a pose at most")
-    min_travel_m: float = _parameter(0.3, "metres between scans that are sent; standing still sends nothing")
-    min_turn_deg: float = _parameter(10.0, "degrees of turning that count as travel")
+    send: str = _parameter(
+        "described", "scans that are sent: `described`, one each one or two metres, or `all`, standing still, too"
+    )
     max_jump_m: float = _parameter(5.0, "metres that the odometry may jump at any speed; beyond, a new session begins")
     max_speed_m_s: float = _parameter(40.0, "fastest speed of the robot; what is faster is a jump")
     max_gap_s: float = _parameter(10.0, "seconds without scans after which a new session begins")
@@ -61,6 +62,8 @@ class Parameters:
         for name in ("cloud_topic", "map_id", "robot_id", "odom_frame", "map_frame"):
             if not getattr(self, name):
                 raise ValueError(f"{name} must not be empty")
+        if self.send not in ("described", "all"):
+            raise ValueError(f"send must be described or all, got {self.send!r}")
         if self.map_frame == self.odom_frame:
             raise ValueError(f"map_frame and odom_frame are both {self.map_frame}")
         require_storey(self.storey)

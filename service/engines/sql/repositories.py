@@ -229,6 +229,15 @@ class SqlScans(SqlRepository[ScanRecord]):
         first: int | None = self._connection.execute(query, asked).scalar_one()
         return first
 
+    def chosen_between(
+        self, tenant: TenantId, map_id: str, session_id: str, first: int, last: int, newest: int | None = None
+    ) -> list[ScanRecord]:
+        """See `ScanRepository`."""
+        seq, asked = tables.scans.c.seq, of_tenant(tenant, {"map_id": map_id, "session_id": session_id})
+        within = and_(tables.scans.c.chosen, seq >= first, seq <= last)
+        query = self._rows_where(asked).where(within).order_by(seq.desc()).limit(newest)
+        return [self._of(row) for row in self._connection.execute(query, asked)][::-1]
+
     def points_of(self, tenant: TenantId) -> int:
         """See `ScanRepository`."""
         scans = tables.scans.c

@@ -123,7 +123,7 @@ class Sessions:
         session, now_ns = require_session(uow, tenant, key, hold=True), self._context.clock.wall_ns()
         if session.state == SessionState.FINISHED:
             return self._whole(uow, session)
-        rest = remainder(session)
+        rest = remainder(uow, session)
         if rest is not None:
             _, session = add_window_submap(uow, self._context.jobs, session, rest, now_ns)
         finished = replace(session, state=SessionState.FINISHED.value, finished_at_ns=now_ns)

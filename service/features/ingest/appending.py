@@ -16,6 +16,7 @@ from revisit.core.config import SubmapConfig
 from revisit.core.errors import BadField, RevisitError
 from revisit.core.geometry.se3 import pose_matrix, pose_row
 from revisit.core.scan import CloudReport, Scan
+from revisit.core.scan_marks import ChosenScan, ScanMarks, step_m
 from revisit.core.submap import next_window_start
 from revisit.service.capacity.backlog import JobPosting
 from revisit.service.capacity.budget import Remembered
@@ -26,13 +27,16 @@ from revisit.service.domain.policy import Policy
 from revisit.service.domain.records import ScanRecord, SessionRecord
 from revisit.service.features.ingest.posting import PostedSubmap
 from revisit.service.features.ingest.window_submaps import ScanRange, add_window_submap
-from revisit.service.ports.blobs import CLOUD_BLOB
+from revisit.service.ports.blobs import CLOUD_BLOB, Blob
 from revisit.service.ports.clock import Clock
 from revisit.service.ports.storage import Storage, require_active, require_map, require_session
 from revisit.service.ports.transactions import UnitOfWork
 
 SAME_POSE = 1e-9
 """Numbers of a pose that differ by less, metres or none, are the same number rounded twice."""
+
+ROUNDED_M = 1e-6
+"""A robot's count of the way may be so much less than the straight way between two scans."""
 
 SESSIONS_REMEMBERED = 4096
 """Sessions with their window rules and last scan in memory, about 2 kB each."""
@@ -80,18 +84,23 @@ class ScanStream:
 class ScanAck:
     """The scan is durable. `committed_seq` is the last durable one; `submap` is the one that this scan completed.
 
-    A scan that is stored already is acknowledged and ignored (`replay`).
+    A scan that is stored already is acknowledged and ignored (`replay`). Of one that is `left_out` the cloud is not
+    kept: no description would be made of it, and the map keeps scans of descriptions alone.
     """
 
     committed_seq: int
     replay: bool
     report: CloudReport | None
     submap: PostedSubmap | None
+    left_out: bool = False
 
 
 @dataclass(frozen=True)
 class AcceptedScan:
-    """A scan of `session` that passed validation, and its stored cloud; `session_number` as it was when it came."""
+    """A scan of `session` that passed validation, and its stored cloud; `session_number` as it was when it came.
+
+    `travelled_m`: how far the session had travelled, as its robot counts. `left_out`: the cloud is not stored.
+    """
 
     tenant: TenantId
     session: SessionKey
@@ -100,14 +109,31 @@ class AcceptedScan:
     seq: int
     scan: Scan
     sha256: str
+    travelled_m: float | None = None
+    left_out: bool = False
+
+
+class CloudWanted(Exception):
+    """A description is made of a scan whose cloud was to be left out: another stream has changed the session."""
 
 
 @dataclass(frozen=True)
 class _Standing:
-    """Where a session stands: its row, and its last scan, if it has one."""
+    """Where a session stands: its row, its last scan, and the last one that was chosen, if it has one."""
 
     session: SessionRecord
     last: ScanRecord | None
+    chosen: ChosenScan | None
+
+    def followed(self, accepted: AcceptedScan, config: SubmapConfig) -> tuple[_Standing, ScanRecord]:
+        """The session with one scan more, and the row of that. Raises BadField, StreamFenced, NotFound."""
+        session = self.session if accepted.stream is None else accepted.stream.entered(self.session)
+        travelled_m = _travelled_m(self, accepted)
+        pose, returns = accepted.scan.T_odom_sensor, len(accepted.scan.points)
+        chosen = ScanMarks.of(config).choose(self.chosen, travelled_m, pose, returns)
+        row = _row(session, accepted, travelled_m, chosen=chosen is not None)
+        moved = replace(session, committed_seq=accepted.seq, travelled_m=travelled_m)
+        return _Standing(moved, row, chosen or self.chosen), row
 
 
 @dataclass(frozen=True)
@@ -148,19 +174,37 @@ class Appending:
         """
         appended = None if self._completes(accepted) else await self._together(accepted)
         if appended is None:
-            appended = await self._storage.write_naming(partial(self.insert, accepted=accepted), put)
+            try:
+                appended = await self._storage.write_naming(partial(self.insert, accepted=accepted), put)
+            except CloudWanted:
+                await asyncio.to_thread(put)
+                stored = replace(accepted, left_out=False)
+                appended = await self._storage.write_naming(partial(self.insert, accepted=stored), put)
         if appended.standing is not None:
             self._standings[accepted.session_number] = appended.standing
         return appended.ack
 
+    def leaves_out(self, accepted: AcceptedScan) -> bool:
+        """Whether no description will be made of a scan, as far as this gateway knows."""
+        expected = self._expected(accepted)
+        return expected is not None and not expected[1].chosen
+
     def _completes(self, accepted: AcceptedScan) -> bool:
         """Whether a scan completes a submap, as far as this gateway knows."""
+        expected = self._expected(accepted)
+        return expected is not None and completes(*expected)
+
+    def _expected(self, accepted: AcceptedScan) -> tuple[SessionRecord, ScanRecord, SubmapConfig] | None:
+        """The session before a scan, the row of that, and the rules of its map; None where this gateway does not know
+        the session, or refuses the scan.
+        """
         standing, config = (of.get(accepted.session_number) for of in (self._standings, self._window_configs))
         if not isinstance(standing, _Standing) or not isinstance(config, SubmapConfig):
-            return False
-        with suppress(BadField):
-            return completes(standing.session, _step_m(standing.last, accepted.scan), config)
-        return False
+            return None
+        with suppress(RevisitError):
+            if not is_replay(standing.session, accepted.seq):
+                return standing.session, standing.followed(accepted, config)[1], config
+        return None
 
     async def _together(self, accepted: AcceptedScan) -> _Appended | None:
         """As `append`, with others; None where the scan is to be stored by itself: it completes a submap, or fails."""
@@ -185,16 +229,20 @@ class Appending:
         if is_replay(session, accepted.seq):
             stored = stored_scan(uow, session, accepted.seq)
             # It came a moment ago, by the same compressor.
-            if stored is not None and not (same_place(stored, accepted) and stored.cloud_sha256 == accepted.sha256):
+            if stored is not None and not (
+                same_place(stored, accepted) and stored.cloud_sha256 in (accepted.sha256, "")
+            ):
                 raise taken(session, accepted.seq)
             return _Appended(ScanAck(session.committed_seq, replay=True, report=None, submap=None), None)
-        session = session if accepted.stream is None else accepted.stream.entered(session)
-        step_m = _step_m(self._standing(uow, session).last, accepted.scan)
-        uow.blobs.refer(accepted.tenant, [(CLOUD_BLOB, accepted.sha256)])
-        scan = uow.scans.add(_row(session, accepted, session.travelled_m + step_m))
-        moved, submap = self._advance(uow, session, accepted.seq, step_m)
-        ack = ScanAck(accepted.seq, replay=False, report=accepted.scan.report, submap=submap)
-        return _Appended(ack, _Standing(moved, scan))
+        config = self._window_config(uow, session)
+        after, row = self._standing(uow, session).followed(accepted, config)
+        if row.chosen and accepted.left_out:
+            raise CloudWanted
+        uow.blobs.refer(accepted.tenant, _named(accepted))
+        scan = uow.scans.add(row)
+        moved, submap = self._advance(uow, after.session, scan, config)
+        ack = _acknowledged(accepted, submap)
+        return _Appended(ack, _Standing(moved, scan, after.chosen))
 
     def insert_all(self, uow: UnitOfWork, scans: Sequence[AcceptedScan]) -> dict[int, _Appended]:
         """As `insert`, scans of any sessions in a few statements; what was added, by the `id` of its scan.
@@ -210,11 +258,10 @@ class Appending:
             if after is not None and after.last is not None:
                 standings[scan.session_number] = after
                 rows.append(after.last)
-                ack = ScanAck(scan.seq, replay=False, report=scan.scan.report, submap=None)
-                appended[id(scan)] = _Appended(ack, after)
+                appended[id(scan)] = _Appended(_acknowledged(scan, None), after)
         added = [scan for scan in scans if id(scan) in appended]
         for tenant in sorted({scan.tenant for scan in added}):
-            uow.blobs.refer(tenant, [(CLOUD_BLOB, scan.sha256) for scan in added if scan.tenant == tenant])
+            uow.blobs.refer(tenant, [blob for scan in added if scan.tenant == tenant for blob in _named(scan)])
         uow.scans.add_all(rows)
         moved = {scan.session_number for scan in added}
         uow.sessions.replace_all([standings[number].session for number in sorted(moved)])
@@ -226,28 +273,27 @@ class Appending:
         try:
             if config is None or is_replay(before.session, accepted.seq):
                 return None
-            session = before.session if accepted.stream is None else accepted.stream.entered(before.session)
-            step_m = _step_m(before.last, accepted.scan)
+            after, row = before.followed(accepted, config)
         except RevisitError:
             return None
-        if completes(session, step_m, config):
-            return None
-        return _Standing(_moved(session, accepted.seq, step_m), _row(session, accepted, session.travelled_m + step_m))
+        alone = completes(before.session, row, config) or (row.chosen and accepted.left_out)
+        return None if alone else after
 
     def _standing(self, uow: UnitOfWork, session: SessionRecord) -> _Standing:
-        """Where a session stands by its row: of its scans, which never change, the last one is remembered."""
+        """Where a session stands by its row: of its scans, which never change, those that matter are remembered."""
         known = self._standings.get(session.number)
         if known is not None and known.last is not None and known.last.seq == session.committed_seq:
-            return _Standing(session, known.last)
-        return _Standing(session, stored_scan(uow, session, session.committed_seq))
+            return replace(known, session=session)
+        of, last = (session.tenant, session.map_id, session.session_id), session.committed_seq
+        chosen = uow.scans.chosen_between(*of, 1, last, newest=1)
+        return _Standing(session, stored_scan(uow, session, last), _chosen_of(chosen))
 
     def _advance(
-        self, uow: UnitOfWork, session: SessionRecord, seq: int, step_m: float
+        self, uow: UnitOfWork, moved: SessionRecord, scan: ScanRecord, config: SubmapConfig
     ) -> tuple[SessionRecord, PostedSubmap | None]:
         """Move the session's window on; the session then, and the submap that is complete now, if one is."""
-        config = self._window_config(uow, session)
-        first_seq_from = partial(uow.scans.first_seq_from, session.tenant, session.map_id, session.session_id)
-        moved, finished = advance(session, seq, step_m, config, first_seq_from)
+        first_seq_from = partial(uow.scans.first_seq_from, moved.tenant, moved.map_id, moved.session_id)
+        moved, finished = advance(moved, scan, config, first_seq_from)
         if finished is None:
             uow.sessions.replace(moved)
             return moved, None
@@ -295,28 +341,23 @@ def _held(uow: UnitOfWork, scans: Sequence[AcceptedScan]) -> Iterator[SessionRec
         yield from uow.sessions.numbered(tenant, numbers, hold=True).values()
 
 
-def completes(session: SessionRecord, step_m: float, config: SubmapConfig) -> bool:
-    """Whether a scan taken `step_m` metres beyond the last one completes the window."""
-    return session.travelled_m + step_m - session.window_start_m >= config.tau
+def completes(session: SessionRecord, scan: ScanRecord, config: SubmapConfig) -> bool:
+    """Whether the next scan of a session completes its window: windows end with a chosen one."""
+    return scan.chosen and scan.travelled_m - session.window_start_m >= config.tau
 
 
 def advance(
-    session: SessionRecord, seq: int, step_m: float, config: SubmapConfig, first_seq_from: FirstSeqFrom
+    session: SessionRecord, scan: ScanRecord, config: SubmapConfig, first_seq_from: FirstSeqFrom
 ) -> tuple[SessionRecord, ScanRange | None]:
-    """The session after scan `seq`, taken `step_m` metres beyond the last one, and the window that it completes."""
-    moved = _moved(session, seq, step_m)
-    if not completes(session, step_m, config):
-        return moved, None
-    start = next_window_start(session.window_start_m, moved.travelled_m, config)
+    """The session after its newest scan, whose distance it has travelled, and the window that this completes."""
+    if not completes(session, scan, config):
+        return session, None
+    start = next_window_start(session.window_start_m, scan.travelled_m, config)
     # The newest scan always stays: the next step is measured from it.
     first_kept = first_seq_from(start)
-    first = seq if first_kept is None else max(session.window_first_seq, first_kept)
-    finished = replace(moved, window_first_seq=first, window_start_m=start, emitted_to_m=moved.travelled_m)
-    return finished, ScanRange(session.window_first_seq, seq)
-
-
-def _moved(session: SessionRecord, seq: int, step_m: float) -> SessionRecord:
-    return replace(session, committed_seq=seq, travelled_m=session.travelled_m + step_m)
+    first = scan.seq if first_kept is None else max(session.window_first_seq, first_kept)
+    finished = replace(session, window_first_seq=first, window_start_m=start, emitted_to_m=scan.travelled_m)
+    return finished, ScanRange(session.window_first_seq, scan.seq)
 
 
 def is_replay(session: SessionRecord, seq: int) -> bool:
@@ -351,16 +392,35 @@ def taken(session: SessionRecord, seq: int) -> AlreadyExists:
     )
 
 
-def _step_m(last: ScanRecord | None, scan: Scan) -> float:
-    """How far the sensor moved since the last stored scan, metres. Raises BadField where time went backwards."""
-    if last is None:
-        return 0.0
-    if scan.stamp_ns < last.stamp_ns:
+def _travelled_m(standing: _Standing, accepted: AcceptedScan) -> float:
+    """How far a session has travelled with its next scan, metres. Raises BadField where time went backwards.
+
+    The robot's count is taken where it is possible; else, as where it began to count anew, the straight way.
+    """
+    last, scan = standing.last, accepted.scan
+    if last is not None and scan.stamp_ns < last.stamp_ns:
         raise BadField(f"stamp_ns lies before that of the last stored scan, {last.stamp_ns}", field="stamp_ns")
-    return float(np.linalg.norm(scan.T_odom_sensor[:3, 3] - pose_matrix(last.T_odom_sensor)[:3, 3]))
+    straight_m = 0.0 if last is None else step_m(pose_matrix(last.T_odom_sensor), scan.T_odom_sensor)
+    least_m, told_m = standing.session.travelled_m + straight_m, accepted.travelled_m
+    return least_m if told_m is None or told_m < least_m - ROUNDED_M else told_m
 
 
-def _row(session: SessionRecord, accepted: AcceptedScan, travelled_m: float) -> ScanRecord:
+def _chosen_of(newest: Sequence[ScanRecord]) -> ChosenScan | None:
+    """The state of the choice after its newest scan, if there is one; of those before at its mark nothing is known."""
+    orientations = tuple(pose_matrix(row.T_odom_sensor)[:3, :3] for row in newest)
+    return ChosenScan(newest[-1].travelled_m, orientations) if newest else None
+
+
+def _named(accepted: AcceptedScan) -> list[Blob]:
+    return [] if accepted.left_out else [(CLOUD_BLOB, accepted.sha256)]
+
+
+def _acknowledged(accepted: AcceptedScan, submap: PostedSubmap | None) -> ScanAck:
+    report = accepted.scan.report
+    return ScanAck(accepted.seq, replay=False, report=report, submap=submap, left_out=accepted.left_out)
+
+
+def _row(session: SessionRecord, accepted: AcceptedScan, travelled_m: float, *, chosen: bool) -> ScanRecord:
     return ScanRecord(
         tenant=session.tenant,
         map_id=session.map_id,
@@ -369,6 +429,7 @@ def _row(session: SessionRecord, accepted: AcceptedScan, travelled_m: float) -> 
         stamp_ns=accepted.scan.stamp_ns,
         T_odom_sensor=pose_row(accepted.scan.T_odom_sensor),
         travelled_m=travelled_m,
-        point_count=len(accepted.scan.points),
-        cloud_sha256=accepted.sha256,
+        point_count=0 if accepted.left_out else len(accepted.scan.points),
+        cloud_sha256="" if accepted.left_out else accepted.sha256,
+        chosen=chosen,
     )

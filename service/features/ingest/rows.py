@@ -5,12 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-import numpy as np
-
 from revisit.core.config import SubmapConfig
 from revisit.core.geometry.se3 import pose_matrix
 from revisit.core.scan import CloudReport, Scan
-from revisit.core.submap import Submap, chosen_scans
+from revisit.core.scan_marks import ScanMarks, marked_rows
+from revisit.core.submap import Submap
 from revisit.service.domain.errors import NotKept
 from revisit.service.domain.identity import SessionKey, TenantId
 from revisit.service.domain.policy import Policy
@@ -22,7 +21,7 @@ from revisit.service.ports.storage import require_map
 from revisit.service.ports.transactions import UnitOfWork
 
 MAX_SCANS = 400
-"""A window of a robot that stood still can hold any number of scans: at most this many, evenly spread, are used."""
+"""A window can hold any number of scans: at most this many, evenly spread, are used."""
 
 
 @dataclass(frozen=True)
@@ -53,22 +52,35 @@ def submap_source(uow: UnitOfWork, policy: Policy, record: SubmapRecord) -> Subm
     if record.first_seq is None or record.last_seq is None:
         posted = PosedCloud(str(record.cloud_sha256), record.T_odom_submap, record.stamp_ns, record.point_count)
         return SubmapSource((posted,), posted=True, config=config, T_odom_submap=record.T_odom_submap)
-    session = SessionKey(record.map_id, record.session_id)
-    scans = described_scans(uow, record.tenant, session, (record.first_seq, record.last_seq), config)
+    scans = described_scans(uow, record, config)
     clouds = tuple(PosedCloud(scan.cloud_sha256, scan.T_odom_sensor, scan.stamp_ns, scan.point_count) for scan in scans)
     return SubmapSource(clouds, posted=False, config=config, T_odom_submap=record.T_odom_submap)
 
 
-def described_scans(
+def described_scans(uow: UnitOfWork, record: SubmapRecord, config: SubmapConfig) -> list[ScanRecord]:
+    """The stored scans that a submap of a window is described from; none of a posted one, or where none is kept."""
+    if record.first_seq is None or record.last_seq is None:
+        return []
+    session, window = SessionKey(record.map_id, record.session_id), (record.first_seq, record.last_seq)
+    chosen = chosen_scans(uow, record.tenant, session, *window)
+    if record.kept_scans == KeptScans.DESCRIBED or len(chosen) >= record.scan_count:
+        return chosen
+    return _marked_scans(uow, record.tenant, session, window, config)
+
+
+def chosen_scans(uow: UnitOfWork, tenant: TenantId, session: SessionKey, first: int, last: int) -> list[ScanRecord]:
+    """The scans that were chosen as they came, of the numbers first..last; at most MAX_SCANS, with both ends."""
+    chosen = uow.scans.chosen_between(tenant, session.map_id, session.session_id, first, last)
+    return [chosen[row] for row in spread_rows(0, len(chosen) - 1)] if chosen else []
+
+
+def _marked_scans(
     uow: UnitOfWork, tenant: TenantId, session: SessionKey, window: tuple[int, int], config: SubmapConfig
 ) -> list[ScanRecord]:
-    """The stored scans that the submap of a window, first to last, is described from; none where none is kept."""
-    scans = uow.scans.with_seqs(tenant, session.map_id, session.session_id, chosen_seqs(*window))
-    if not scans:
-        return []
-    positions = np.array([pose_matrix(scan.T_odom_sensor)[:3, 3] for scan in scans])
-    returns = np.array([scan.point_count for scan in scans])
-    return [scans[row] for row in chosen_scans(positions, returns, config)]
+    """The same of a window that was stored before scans were chosen as they came: the choice is made now."""
+    scans = uow.scans.with_seqs(tenant, session.map_id, session.session_id, spread_rows(*window))
+    poses = ((pose_matrix(scan.T_odom_sensor), scan.point_count) for scan in scans)
+    return [scans[row] for row in marked_rows(poses, ScanMarks.of(config))]
 
 
 def require_scans(record: SubmapRecord) -> None:
@@ -77,11 +89,8 @@ def require_scans(record: SubmapRecord) -> None:
         raise NotKept(f"the scans of {record.submap_id} are not kept: its map's policy of retention removed them")
 
 
-def chosen_seqs(first: int, last: int) -> list[int]:
-    """The numbers first..last of a window's scans; of more than MAX_SCANS so many, evenly spread, with both ends.
-
-    Stored scans have no gaps before retention, so only the chosen ones are read.
-    """
+def spread_rows(first: int, last: int) -> list[int]:
+    """The numbers first..last; of more than MAX_SCANS so many, evenly spread, with both ends."""
     if last - first < MAX_SCANS:
         return list(range(first, last + 1))
     return [first + round(index * (last - first) / (MAX_SCANS - 1)) for index in range(MAX_SCANS)]

@@ -12,7 +12,7 @@ from revisit.service.domain.identity import RESERVED_SUBMAP_PREFIX, content_hash
 from revisit.service.domain.records import ScanRecord, SessionRecord, SubmapRecord
 from revisit.service.domain.states import SubmapState
 from revisit.service.features.ingest.posting import PostedSubmap, add_submap, posted_submap
-from revisit.service.features.ingest.rows import chosen_seqs
+from revisit.service.features.ingest.rows import chosen_scans, spread_rows
 from revisit.service.ports.transactions import UnitOfWork
 
 
@@ -24,22 +24,29 @@ class ScanRange:
     last: int
 
 
-def remainder(session: SessionRecord) -> ScanRange | None:
+def remainder(uow: UnitOfWork, session: SessionRecord) -> ScanRange | None:
     """The scans of a last, shorter submap at the end of a session, or None where nothing new was seen."""
-    if session.committed_seq == 0 or session.travelled_m == session.emitted_to_m:
-        return None
-    return ScanRange(session.window_first_seq, session.committed_seq)
+    rest = ScanRange(session.window_first_seq, session.committed_seq)
+    scans = _scans_of(uow, session, rest) if session.committed_seq else []
+    return rest if scans and scans[-1].travelled_m != session.emitted_to_m else None
 
 
 def add_window_submap(
     uow: UnitOfWork, jobs: JobPosting, session: SessionRecord, scans: ScanRange, now_ns: int
 ) -> tuple[PostedSubmap, SessionRecord]:
     """Add the submap of the stored `scans` and its job, in the caller's transaction. Raises WorkersBusy."""
-    seqs = chosen_seqs(scans.first, scans.last)
-    stored = uow.scans.with_seqs(session.tenant, session.map_id, session.session_id, seqs)
-    row = _row(session, stored, scans, now_ns)
+    row = _row(session, _scans_of(uow, session, scans), scans, now_ns)
     added, counted = add_submap(uow, jobs, session, row)
     return posted_submap(uow, added, replay=False, report=None), counted
+
+
+def _scans_of(uow: UnitOfWork, session: SessionRecord, scans: ScanRange) -> list[ScanRecord]:
+    """The chosen scans of a window; all of one that was stored before scans were chosen as they came."""
+    chosen = chosen_scans(uow, session.tenant, session.key, scans.first, scans.last)
+    if chosen:
+        return chosen
+    seqs = spread_rows(scans.first, scans.last)
+    return uow.scans.with_seqs(session.tenant, session.map_id, session.session_id, seqs)
 
 
 def _row(session: SessionRecord, stored: list[ScanRecord], scans: ScanRange, now_ns: int) -> SubmapRecord:

@@ -14,7 +14,7 @@ from revisit.service.features.audit.calls import AuditEntry
 from revisit.service.features.resources.call_context import CallContext
 from revisit.service.features.retention.preview import Preview
 from revisit.service.features.retention.reports import MapRetention, RetentionReport
-from revisit.service.features.retention.rows import policy_of, retention_of
+from revisit.service.features.retention.rows import retention_of
 from revisit.service.ports.storage import require_map
 from revisit.service.ports.transactions import UnitOfWork
 
@@ -63,7 +63,7 @@ class MapRetentions:
             self._context.storage.blobs,
             self._context.policy,
             record,
-            policy or policy_of(record, self._context.policy),
+            policy or self._context.policy.kept_of(record),
         )
         async with self._turns.of(tenant):
             return await asyncio.to_thread(Preview(*asked).report, self._context.clock.wall_ns())

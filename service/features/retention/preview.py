@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import TypeVar
 
-from revisit.service.domain.identity import SessionKey, TenantId
+from revisit.service.domain.identity import TenantId
 from revisit.service.domain.policy import Policy
 from revisit.service.domain.records import MapRecord, ScanRecord, SessionRecord, SubmapRecord
 from revisit.service.domain.retention import KeptScans, RetentionPolicy, RetentionRule
@@ -152,10 +152,10 @@ class Preview:
         """The numbers of scans that would stay of submaps that keep those of their description."""
         if self._policy.keep_scans is not KeptScans.DESCRIBED:
             return set()
-        key, config = SessionKey(session.map_id, session.session_id), self._rules.for_map(self._map).submap
-        windows = [(one.first_seq, one.last_seq) for one in released if one.first_seq and one.last_seq]
-        found = (described_scans(uow, session.tenant, key, window, config) for window in windows)
-        return {scan.number for scans in found for scan in scans}
+        config, numbers = self._rules.for_map(self._map).submap, [one.number for one in released]
+        parts = (uow.submaps.numbered(session.tenant, some).values() for some in portions(numbers, AT_ONCE))
+        submaps = (submap for part in parts for submap in part)
+        return {scan.number for submap in submaps for scan in described_scans(uow, submap, config)}
 
     def _posted(self, uow: UnitOfWork, session: SessionRecord, released: set[int]) -> None:
         for some in portions(sorted(released), AT_ONCE):

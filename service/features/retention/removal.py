@@ -102,7 +102,8 @@ def release(uow: UnitOfWork, record: MapRecord, numbers: Sequence[int], kept: Ke
     found = uow.submaps.numbered(record.tenant, numbers).values()
     due = [one for one in found if one.kept_scans in LESS[kept] and one.number not in waiting]
     if kept is KeptScans.DESCRIBED:
-        chosen = {scan.number: scan for one in due for scan in _chosen(uow, record, one, rules)}
+        config = rules.for_map(record).submap
+        chosen = {scan.number: scan for one in due for scan in described_scans(uow, one, config)}
         uow.scans.revise(list(chosen.values()), chosen=True)
     posted = [one for one in due if one.cloud_sha256 is not None]
     doomed = {(CLOUD_BLOB, str(one.cloud_sha256)) for one in posted}
@@ -116,14 +117,6 @@ def _released(uow: UnitOfWork, tenant: TenantId, rows: int, blobs: set[Blob]) ->
     """Rows that named these blobs are gone."""
     uow.blobs.release(tenant, blobs)
     return Removed(rows, frozenset(blobs))
-
-
-def _chosen(uow: UnitOfWork, record: MapRecord, submap: SubmapRecord, rules: Policy) -> list[ScanRecord]:
-    """The scans that a submap was described from."""
-    if submap.first_seq is None or submap.last_seq is None:
-        return []
-    session, window = SessionKey(submap.map_id, submap.session_id), (submap.first_seq, submap.last_seq)
-    return described_scans(uow, record.tenant, session, window, rules.for_map(record).submap)
 
 
 def _newly_awaiting(uow: UnitOfWork, record: MapRecord) -> set[int]:

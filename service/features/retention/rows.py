@@ -4,16 +4,10 @@ from __future__ import annotations
 
 from revisit.service.domain.policy import Policy
 from revisit.service.domain.records import MapRecord
-from revisit.service.domain.retention import RetentionPolicy, parsed
 from revisit.service.features.retention.reports import MapRetention, RetentionReport
-
-
-def policy_of(record: MapRecord, rules: Policy) -> RetentionPolicy:
-    """The policy of a map in force."""
-    return rules.retention if record.retention is None else parsed(record.retention)
 
 
 def retention_of(record: MapRecord, rules: Policy) -> MapRetention:
     """The policy of a map as clients see it."""
     last_run = RetentionReport.of(record.retention_run)
-    return MapRetention(record.map_id, policy_of(record, rules), record.retention is not None, last_run)
+    return MapRetention(record.map_id, rules.kept_of(record), record.retention is not None, last_run)

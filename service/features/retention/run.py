@@ -31,7 +31,6 @@ from revisit.service.features.retention.reports import (
     RetentionReport,
     Tally,
 )
-from revisit.service.features.retention.rows import policy_of
 from revisit.service.features.retention.rules import HeldScans, due_for_release
 from revisit.service.ports.blobs import Blob
 from revisit.service.ports.clock import Clock
@@ -60,7 +59,7 @@ class Retention:
     async def all(self, now_ns: int | None = None) -> None:
         """One run over every map of every tenant, as of `now_ns`; the wall clock's time by default."""
         async for record in self._maps():
-            policy = policy_of(record, self._rules)
+            policy = self._rules.kept_of(record)
             if policy != KEEPS_ALL:
                 await self.of_map(record, policy, now_ns)
 

@@ -123,7 +123,7 @@ def test_a_recording_that_was_repaired_behind_a_finished_session_is_no_success(r
     for run in range(2):
         assert figures(invoke(damaged, *where))[1:] == (17, 0 if run else 3)
     refused = invoke(recording, *where, status=1).exception
-    assert refused.reason == "SESSION_FINISHED" and "holds 17 of the first 19 scans" in str(refused)
+    assert refused.reason == "SESSION_FINISHED" and "holds 17 of the 19 scans" in str(refused)
 
 
 def test_a_session_that_was_finished_empty_is_no_success(recording, where, service):

@@ -365,3 +365,57 @@ def test_the_newest_stream_holds_over_two_gateways_of_one_store(service, raw, se
         assert newer.say(scan=scan_message(2)).hear().ack.committed_seq == 2
         assert code_of(older.say(scan=scan_message(3)).hear) is grpc.StatusCode.FAILED_PRECONDITION
         assert newer.say(scan=scan_message(3)).hear().ack.committed_seq == 3
+
+
+def test_the_service_says_which_scans_it_describes_and_where_the_session_stands(raw, session):
+    talk = Conversation(raw).say(open=ingest_pb2.Open(session=session.name))
+    first = talk.hear().opened
+    assert (first.marks.tau_m, first.marks.least_per_tau, first.marks.enough_returns) == (10.0, 5, 300_000)
+    assert not first.HasField("t_odom_sensor")
+    scan = scan_message(1)
+    scan.travelled_m = 7.25
+    assert talk.say(scan=scan).hear().ack.committed_seq == 1
+    assert talk.end() == []
+    again = Conversation(raw).say(open=ingest_pb2.Open(session=session.name)).hear().opened
+    assert again.travelled_m == 7.25 and again.t_odom_sensor.translation.x == 1.0
+
+
+def test_a_pose_is_a_sign_of_life_that_is_answered_and_not_stored(raw, session, service):
+    talk = opened(raw, session)
+    assert talk.say(scan=scan_message(1)).hear().ack.committed_seq == 1
+    before = service.stored()
+    ack = talk.say(pose=ingest_pb2.Pose(stamp_ns=2)).hear().ack
+    assert (ack.committed_seq, ack.credits) == (1, 0)
+    assert service.stored() == before
+    assert talk.end() == []
+
+
+@pytest.mark.parametrize("travelled_m", [-1.0, 1e10, float("nan"), float("inf")])
+def test_an_impossible_way_is_refused_and_the_stream_lives(raw, session, travelled_m):
+    talk = opened(raw, session)
+    scan = scan_message(1)
+    scan.travelled_m = travelled_m
+    assert talk.say(scan=scan).hear().nack.reason == "BAD_FIELD"
+    assert talk.say(scan=scan_message(1)).hear().ack.committed_seq == 1
+    assert talk.end() == []
+
+
+def test_a_robot_sends_what_is_described_and_its_pose_while_it_stands(service, session, monkeypatch):
+    monkeypatch.setattr("revisit.sdk.scan_choice.LIFE_S", 0.0)
+    points = np.tile(cloud_points(1, 1000), (70, 1))  # of so many returns that marks are 2 m apart
+    with Client.grpc(service.grpc) as client, client.stream(session) as stream:
+        for number in range(1, 41):
+            stream.send(points, pose(0.25 * min(number, 30)), number)
+    assert (stream.committed_seq, stream.skipped) == (5, 35)
+    with Client.grpc(service.grpc) as client, client.stream(session, send="all") as stream:
+        for number in range(41, 44):
+            stream.send(points, pose(7.5), number)
+        assert stream.skipped == 0
+    with Client(service.http) as client:
+        told = client.get_session(session.name)
+        assert (told.committed_seq, told.travelled_m) == (8, pytest.approx(7.25))
+
+
+def test_a_stream_knows_no_third_choice(client, session):
+    with pytest.raises(ValueError, match="'described' or 'all'"), client.stream(session, send="some"):
+        pass

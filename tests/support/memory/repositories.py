@@ -200,6 +200,14 @@ class MemoryScans(MemoryRepository[ScanRecord]):
         scans = self.find(tenant, map_id=map_id, session_id=session_id)
         return min((scan.seq for scan in scans if scan.travelled_m >= travelled_m), default=None)
 
+    def chosen_between(
+        self, tenant: TenantId, map_id: str, session_id: str, first: int, last: int, newest: int | None = None
+    ) -> list[ScanRecord]:
+        """See `ScanRepository`."""
+        scans = self.find(tenant, map_id=map_id, session_id=session_id, chosen=True)
+        found = sorted((scan for scan in scans if first <= scan.seq <= last), key=lambda scan: scan.seq)
+        return found if newest is None else found[-newest:]
+
     def points_of(self, tenant: TenantId) -> int:
         """See `ScanRepository`."""
         return sum(scan.point_count for scan in self.find(tenant))

@@ -9,7 +9,7 @@ from revisit.core.config import SubmapConfig
 from revisit.core.errors import EmptyCloud
 from revisit.core.geometry import se3
 from revisit.core.scan import Scan
-from revisit.core.submap import Submap, chosen_scans
+from revisit.core.submap import Submap
 
 
 def test_a_tilted_submap_is_turned_upright_and_keeps_its_place_in_the_odometry_frame():
@@ -73,43 +73,10 @@ def test_a_submap_without_points_in_range_is_refused():
         Submap.from_cloud(Scan.validated(points, np.eye(4), 0))
 
 
-def drive_of(step_m: float, scans: int) -> np.ndarray:
-    return np.column_stack([np.arange(scans) * step_m, np.zeros((scans, 2))])
-
-
-@pytest.mark.parametrize(
-    ("step_m", "scans", "expected"), [(1.0, 11, 11), (0.99, 11, 11), (1.8, 7, 7), (0.15, 67, 11), (0.02, 501, 11)]
-)
-def test_of_a_dense_sensor_the_scans_a_metre_apart_are_described_whatever_its_speed(step_m, scans, expected):
-    rows = chosen_scans(drive_of(step_m, scans), np.full(scans, 117_000), SubmapConfig())
-    assert len(rows) == expected and rows[0] == 0 and rows[-1] == scans - 1
-    assert np.abs(rows * step_m - np.rint(rows * step_m)).max() <= max(step_m / 2, 0.21)
-
-
-@pytest.mark.parametrize(("returns", "expected"), [(10_000, 30), (28_000, 11), (3_000, 67)])
-def test_of_a_thin_sensor_so_many_scans_are_described_that_there_are_returns_enough(returns, expected):
-    rows = chosen_scans(drive_of(0.15, 67), np.full(67, returns), SubmapConfig())
-    assert len(rows) == expected
-    assert np.diff(rows).max() <= 7  # evenly
-
-
-@pytest.mark.parametrize(("returns", "expected"), [(117_000, 3), (3_000, 100), (700_000, 1)])
-def test_a_robot_that_stands_still_is_described_from_few_scans_spread_over_its_stay(returns, expected):
-    rows = chosen_scans(np.zeros((400, 3)), np.full(400, returns), SubmapConfig())
-    assert len(rows) == expected
-    assert expected < 3 or np.diff(rows).max() <= 2 * 400 / expected
-
-
-def test_a_submap_of_chosen_scans_lies_in_the_frame_of_the_middle_scan_of_all():
+def test_a_window_is_described_from_the_scans_at_its_marks_in_the_frame_of_the_middle_one():
     rng = np.random.default_rng(0)
     room = rng.uniform(-20, 20, (400, 3)).astype(np.float32)
     scans = [Scan.validated(room, se3.from_yaw(0.0, (0.15 * i, 0, 0)), i) for i in range(68)]
-    submap = Submap.from_scans(scans, SubmapConfig(enough_returns=0))
-    assert submap.scan_count == 11 and 34 not in submap.stamps_ns
+    submap = Submap.from_window(scans, SubmapConfig(enough_returns=0))
+    assert submap.stamps_ns.tolist() == [0, 7, 20, 34, 47, 60]
     np.testing.assert_array_equal(submap.T_odom_submap, scans[34].T_odom_sensor)
-    np.testing.assert_allclose(submap.position, [0.15 * 33.5, 0, 0])
-
-
-def test_a_jump_of_the_odometry_chooses_in_little_memory():
-    positions = np.array([[0, 0, 0], [9e7, 0, 0], [9e7, 1, 0]])
-    assert chosen_scans(positions, np.full(3, 10**6), SubmapConfig()).tolist() == [0, 1, 2]

@@ -118,7 +118,7 @@ def made(monkeypatch, tmp_path):
     nothing_listens = "127.0.0.1:1"
     monkeypatch.setattr(FakeNode, "overrides", {
         "service": nothing_listens, "odometry_topic": "odometry", "spool_dir": str(tmp_path), "robot_id": "spot",
-        "min_travel_m": 0.1,
+        "send": "all",
     })  # fmt: skip
     node = importlib.import_module("revisit_bridge.node").BridgeNode()
     yield ros, node, sent

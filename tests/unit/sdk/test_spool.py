@@ -11,6 +11,8 @@ from pathlib import Path
 
 import pytest
 
+from revisit.core.scan_marks import ScanMarks
+from revisit.sdk import spool as spool_module
 from revisit.sdk.clouds import Cloud
 from revisit.sdk.spool import Spool, SpoolDisagrees, SpoolFull, SpoolUnusable
 
@@ -209,3 +211,36 @@ def test_a_full_disk_is_a_full_spool_and_the_scan_may_come_again(spool):
     assert found[0] == 1 and counts(spool)[0] == len(found)
     put(spool, 99, size=1)
     assert stamps(spool) == [*found, 99]
+
+
+def test_the_way_and_the_marks_are_there_after_the_spool_is_opened_again(path):
+    marks = ScanMarks(2.5, 5, 300_000, 0.5)
+    pose = {"translation": {"x": 3.0, "y": 0.0, "z": 0.0}, "rotation": {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0}}
+    first = Spool(path, MONDAY)
+    assert (first.marks, first.way) == (None, None)
+    first.opened(0, "token", marks)
+    first.append(Cloud(b"abc", "a/b"), pose, 1, travelled_m=4.5)
+    first.close()
+    again = Spool(path, MONDAY)
+    assert again.marks == marks
+    assert again.way is not None and again.way.travelled_m == 4.5 and again.way.T_odom_sensor[0, 3] == 3.0
+    scan = again.after(0, timeout_s=0.0)
+    assert scan is not None and scan.travelled_m == 4.5
+    again.committed(1)
+    again.close()
+    other = Spool(path, MONDAY.replace("monday", "tuesday"))
+    assert (other.marks, other.way) == (None, None)
+    other.close()
+
+
+def test_a_spool_of_the_first_format_is_read_and_its_scans_know_no_way(path):
+    old = sqlite3.connect(path, isolation_level=None)
+    old.executescript(spool_module._SCHEMA)
+    old.execute("UPDATE stream SET session = ?, committed_seq = 2, last_stamp_ns = 5", (MONDAY,))
+    old.execute("INSERT INTO scans VALUES (1, 5, '{}', 'a/b', x'00')")
+    old.close()
+    spool = Spool(path, MONDAY)
+    scan = spool.after(0, timeout_s=0.0)
+    assert scan is not None and (scan.stamp_ns, scan.travelled_m) == (5, None)
+    assert (spool.way, spool.marks, spool.resume_point()) == (None, None, ("", 2))
+    spool.close()
