@@ -54,7 +54,7 @@ def worked_off(store: Store, timeout_s: float = 1800.0) -> None:
 
 def serially(rows: Sequence[Any]) -> dict[tuple[str, str], Any]:
     """The loops between alike places that one worker finds in the order of entry. `rows` are those of the submaps."""
-    world = memory_world(pipeline=PipelineConfig(), optimise_after_loops=0)
+    world = memory_world(pipeline=PipelineConfig(), optimise_after_loops=0, max_queued_jobs=10**6)
 
     async def post() -> None:
         await world.use_cases.maps.create(TENANT, CreateMap("town", leave_distance_m=0.0))
