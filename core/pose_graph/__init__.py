@@ -14,6 +14,7 @@ broken_steps   slips, jumps, turns and tilts of odometry, by loops on both sides
 faults         faults of a session's odometry, and their mending
 optimisation   the most likely poses, and which loops they rest on
 anchors        places of points that the world outside tells, and how a map lies in that world
+alignment      the place and heading of a level map by its anchors
 absolute_edges terms of least squares that tie poses to the world
 grounding      a map on earth: its anchors judged, its poses held by those that agree
 normal_equations  errors and derivatives of many edges at once, and their factorisation

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from revisit.core.geometry import se3, se3_rows
 from revisit.core.pose_graph.absolute_edges import AbsoluteEdges, GroundedEdges
+from revisit.core.pose_graph.alignment import absolute_edges, aligned, heading_sigma_rad, level
 from revisit.core.pose_graph.anchors import (
     LEAST_ANCHORS,
     LEAST_SHARE,
@@ -25,10 +26,6 @@ from revisit.core.pose_graph.anchors import (
     AnchorState,
     Georeference,
     JudgedAnchor,
-    absolute_edges,
-    aligned,
-    heading_sigma_rad,
-    level,
 )
 from revisit.core.pose_graph.graph import GraphState, LoopEdge, Node, PoseGraph, Trajectory
 from revisit.core.pose_graph.least_squares import graduated, minimise, settled

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 import time
 from pathlib import Path
 
@@ -18,10 +19,10 @@ from revisit_bridge.parameters import Parameters
 
 from revisit import Client
 from revisit.core.geometry import se3
-from revisit.sdk.errors import NotFound
+from revisit.sdk.errors import ApiError, ErrorDetails, NotFound
 from revisit.sdk.retry import RetryPolicy
 from tests.support.live_service import live_service
-from tests.support.patience import eventually
+from tests.support.patience import PATIENCE_S, eventually
 from tests.support.ros_messages import Messages
 from tests.support.service_world import cloud_points
 
@@ -113,6 +114,23 @@ def test_a_drive_arrives_whole_and_standing_still_sends_nothing(robot_in) -> Non
     assert stored(robot) == 21
     session = robot.client.get_session(robot.session)
     assert session.robot == "robots/spot" and session.state == "ACTIVE"
+
+
+def test_a_refusal_while_spools_are_looked_after_is_told_and_the_bridge_goes_on(robot_in, monkeypatch, caplog) -> None:
+    robot, refused = robot_in(), threading.Event()
+    outbox_tends = robot.bridge.outbox.tend
+
+    def tend() -> None:
+        if not refused.is_set():
+            refused.set()
+            raise ApiError(ErrorDetails("INTERNAL", "INTERNAL", "the spool was refused"))
+        outbox_tends()
+
+    monkeypatch.setattr(robot.bridge.outbox, "tend", tend)
+    assert refused.wait(PATIENCE_S)
+    robot.drive(0, 45)
+    robot.until(robot.bridge.news)
+    assert "the spool was refused" in caplog.text
 
 
 def test_the_news_have_the_submaps_of_the_session(robot_in) -> None:

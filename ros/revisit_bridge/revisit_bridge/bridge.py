@@ -14,6 +14,7 @@ import numpy as np
 
 from revisit.core.errors import RevisitError
 from revisit.core.geometry import se3
+from revisit.sdk.errors import ApiError
 from revisit.sdk.resources import Relocalisation
 from revisit_bridge.answers import Answers, News, Newsroom
 from revisit_bridge.messages import Points, points_of, pose_of
@@ -221,8 +222,8 @@ class Bridge:
                 news = self._newsroom.ask(session) if session else None
                 if news is not None:
                     self._news.put(news)
-            except RevisitError as error:
-                log.warning("%s", error.message)
+            except (ApiError, RevisitError) as error:
+                log.warning("%s", error)
 
 
 def _reason(verdict: object) -> str:
