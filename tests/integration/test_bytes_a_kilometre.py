@@ -38,11 +38,13 @@ def told(name: str) -> float:
 
 @pytest.fixture(scope="module")
 def parts(tmp_path_factory):
-    """Bytes on the disk by part, of a store with a scan a metre, and after retention removed the scans; its submaps."""
+    """Bytes on the disk by part, of a store with a scan a metre, and after retention removed the scans; how many
+    submaps it has, and scans that these are described from.
+    """
     return asyncio.run(measured(tmp_path_factory.mktemp("drive")))
 
 
-async def measured(home: Path) -> tuple[dict[str, int], dict[str, int], int]:
+async def measured(home: Path) -> tuple[dict[str, int], dict[str, int], int, int]:
     world = sqlite_world(home)
     await open_session(world)
     empty = weighed(home)
@@ -57,9 +59,10 @@ async def measured(home: Path) -> tuple[dict[str, int], dict[str, int], int]:
     await retained(world, "scans=none")
     without = weighed(home)
     submaps = run(home / "revisit.db", "SELECT count(*) FROM submaps WHERE state = 'DESCRIBED'")[0][0]
+    chosen = run(home / "revisit.db", "SELECT count(*) FROM scans WHERE chosen")[0][0]
     world.context.transactions.close()
     whole[DATABASE] -= empty[DATABASE]
-    return whole, without, submaps
+    return whole, without, submaps, chosen
 
 
 def weighed(home: Path) -> dict[str, int]:
@@ -68,16 +71,17 @@ def weighed(home: Path) -> dict[str, int]:
 
 
 def test_a_kilometre_takes_what_the_page_tells_with_and_without_its_scans(parts):
-    whole, _, submaps = parts
+    whole, _, submaps, chosen = parts
     a_submap = whole["neural maps"] + whole["places"] + whole[DATABASE]
     without = 1e-6 * SUBMAPS_A_KM * a_submap / submaps
     assert without == pytest.approx(told(r"without its scans"), rel=WITHIN)
     scans = 1e-6 * 1000 * whole[SCANS] / DRIVEN_SCANS
     assert without + scans == pytest.approx(told(r"with a scan a metre"), rel=WITHIN)
+    assert without + scans * chosen / DRIVEN_SCANS == pytest.approx(told(r"with its described scans"), rel=WITHIN)
 
 
 def test_a_policy_leaves_a_kilometre_without_its_scans(parts):
-    whole, without, submaps = parts
+    whole, without, submaps, _ = parts
     assert submaps >= DRIVEN_SCANS // PipelineConfig().submap.stride - 2
     assert without[SCANS] <= EMPTY_FOLDERS
     assert (without["neural maps"], without["places"]) == (whole["neural maps"], whole["places"])
