@@ -19,7 +19,9 @@ from revisit.sdk.clouds import Cloud, PointsLike
 from revisit.sdk.resources import Finding as SessionFinding
 
 FIRST_LOOKS = (4, 16)
-LOOK_EVERY = 1000
+POSES_EVERY, CLOUDS_EVERY = 200, 1000
+"""Scans after which poses and times are looked at, some milliseconds of a core, and points, up to 0.3 s."""
+
 KEPT_POSES = 220
 KEPT_CLOUDS = 4
 
@@ -31,8 +33,8 @@ class SuspiciousInput(UserWarning):
 class InputWatch:
     """Keeps some of the scans of a stream, and warns once for each kind of mistake (`SuspiciousInput`).
 
-    Looks after 4 and 16 scans and then after each 1,000, up to 0.3 s of a core each time; never at encoded clouds.
-    The service compares scans with each other as well: see `Session.findings`.
+    Looks after 4 and 16 scans, then at poses and times after each 200 and at points after each 1,000; never at encoded
+    clouds. The service compares scans with each other as well: see `Session.findings`.
     """
 
     def __init__(self) -> None:
@@ -44,13 +46,13 @@ class InputWatch:
     def look(self, points: PointsLike, T_odom_sensor: Any, stamp_ns: int) -> None:
         """Take notice of a scan. Raises nothing: the service refuses unusable scans, with a warning here."""
         self._count += 1
-        due = self._count in FIRST_LOOKS or self._count % LOOK_EVERY == 0
+        of_points = self._count in FIRST_LOOKS or self._count % CLOUDS_EVERY == 0
         with contextlib.suppress(RevisitError, ValueError, TypeError, IndexError):
             self._poses.append((np.asarray(T_odom_sensor, dtype=np.float64)[:3, :4], int(stamp_ns)))
-            if not isinstance(points, Cloud) and (due or self._count <= KEPT_CLOUDS):
+            if not isinstance(points, Cloud) and (of_points or self._count <= KEPT_CLOUDS):
                 self._keep(np.asarray(points)[:, :3], T_odom_sensor, stamp_ns)
-            if due:
-                self._tell(self._findings())
+            if of_points or self._count % POSES_EVERY == 0:
+                self._tell([*self._of_poses(), *(self._of_points() if of_points else [])])
 
     def _keep(self, points: NDArray[Any], T_odom_sensor: Any, stamp_ns: int) -> None:
         """Keep a scan to look at; one that the service will refuse is told of at once."""
@@ -62,14 +64,16 @@ class InputWatch:
                 words = f"{error.code}: the service refuses scan {self._count}: {error.message}"
                 warnings.warn(words, SuspiciousInput, stacklevel=4)
 
-    def _findings(self) -> list[Finding]:
+    def _of_poses(self) -> list[Finding]:
         poses = np.stack([pose for pose, _ in self._poses])
         stamps_ns = np.array([stamp for _, stamp in self._poses], dtype=np.int64)
+        return [*check_times(stamps_ns), *check_motion(poses, stamps_ns)]
+
+    def _of_points(self) -> list[Finding]:
         scans = list(self._scans)
-        found = [*check_times(stamps_ns), *check_motion(poses, stamps_ns)]
-        if scans:
-            found += check_units([scene_size(scan) for scan in scans]) + check_points(scans) + check_gravity(scans)
-        return found
+        if not scans:
+            return []
+        return [*check_units([scene_size(scan) for scan in scans]), *check_points(scans), *check_gravity(scans)]
 
     def _tell(self, findings: list[Finding]) -> None:
         for finding in findings:

@@ -44,6 +44,7 @@ BOUNDS: dict[str, Range] = {
     "heading_sigma_rad": limits.HEADING_SIGMA_RAD,
     **limits.GEODETIC,
     "page_size": limits.PAGE_SIZE,
+    "stamp_ns": limits.STAMP_NS,
     "min_seq": limits.MIN_SEQ,
     "min_seq_timeout_s": limits.WAIT_S,
     "timeout_s": limits.WAIT_S,

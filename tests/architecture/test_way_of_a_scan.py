@@ -12,14 +12,14 @@ from tests.support.patience import PATIENCE_S
 
 ROOT = Path(__file__).resolve().parents[2]
 MOST = {
-    "open": {"": 30},
+    "open": {"": 36},
     "scan": {
         "service/grpc/": 4,
         "service/wire/": 1,
         "service/features/": 3,
         "service/capacity/": 3,
         "service/engines/": 12,
-        "": 30,
+        "": 31,
     },
     "end": {"": 13},
 }

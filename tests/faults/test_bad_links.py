@@ -168,7 +168,7 @@ class Driver:
         self.session = session
         self._history = history
         self._open: list[Operation] = []
-        self._opened = client.spooled_stream(session, spool)
+        self._opened = client.spooled_stream(session, spool, send="all")
         self.stream = self._opened.__enter__()
 
     def send(self) -> None:

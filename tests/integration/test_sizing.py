@@ -93,7 +93,7 @@ def test_each_constant_says_where_it_is_from():
 
 
 def test_the_command_prints_it_and_refuses_what_is_no_policy():
-    told = CliRunner().invoke(app, ["plan", "--robots", "20", "--retention", "scans=24h"]).output
+    told = CliRunner().invoke(app, ["plan", "--robots", "400", "--retention", "scans=24h"]).output
     assert "cores of workers" in told and "ends: " in told
     found = json.loads(CliRunner().invoke(app, ["plan", "--json"]).output)
     assert found["need"]["submaps_s"] == 0.2 and "worker_mib" in found["constants"]

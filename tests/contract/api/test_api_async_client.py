@@ -11,7 +11,7 @@ import pytest
 from revisit import AsyncClient, Client
 from revisit.sdk import errors
 from revisit.sdk.retry import RetryPolicy
-from tests.support.service_world import cloud_points
+from tests.support.service_world import cloud_points, pose
 
 ONCE = RetryPolicy(attempts=1)
 
@@ -64,7 +64,7 @@ async def test_a_stream_has_every_scan_acknowledged_when_it_is_left(made):
         session = await a_session(client)
         async with client.stream(session) as stream:
             for number in range(1, 4):
-                await stream.send(cloud_points(number), np.eye(4), 100 * number)
+                await stream.send(cloud_points(number), pose(5.0 * number), 100 * number)
         assert (await client.sessions.get(session.name)).committed_seq == stream.committed_seq == 3
 
 
