@@ -13,8 +13,9 @@ test test-unit test-all: export PYTHONDONTWRITEBYTECODE :=
 BIN := .venv/bin
 PYTHON := $(BIN)/python
 STAMP := .venv/.set-up
+COMPILE := from revisit.service.adapters.core_recogniser import load_recogniser as load; load()
 
-.PHONY: help setup demo run test test-unit test-all lint types generated check bench proto docs site sbom format clean
+.PHONY: help setup demo run test test-unit test-all lint types generated check bench proto docs site wheel sbom format clean
 
 help: ## list these commands
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "make %-10s %s\n", $$1, $$2}'
@@ -33,7 +34,7 @@ run: $(STAMP) ## run the service on this machine: HTTP, gRPC and workers
 
 # A clean checkout has no compiled kernels: they are compiled once, beside the first tests, which need none.
 test: $(STAMP) ## run the tests, without the slow ones
-	$(PYTHON) -c 'from revisit.service.adapters.core_recogniser import load_recogniser as load; load()' & \
+	$(PYTHON) -c '$(COMPILE)' & \
 	$(PYTHON) -m pytest tests -m "not slow" -n 3 --dist loadfile --no-loadscope-reorder
 
 # Those of tests/unit that take a moment each; `pytest @file` reads the names of the others from tests/unit/long.txt.
@@ -69,6 +70,11 @@ docs: $(STAMP) ## write the reference pages, openapi.json and the index of the d
 
 site: $(STAMP) ## build the documentation as a website in build/site; search works offline
 	$(PYTHON) scripts/site.py
+
+wheel: $(STAMP) ## build the wheel with compiled kernels, for this Python and any x86-64-v3 processor: build/wheel
+	find core revisit/formats -name '*.nb[ci]' -delete
+	$(PYTHON) -c '$(COMPILE)'
+	$(PYTHON) -m pip wheel -q --no-deps --no-build-isolation -w build/wheel .
 
 sbom: $(STAMP) ## write the bill of materials of the service with its pinned dependencies: out/sbom.cdx.json
 	$(PYTHON) -m venv --clear build/service && build/service/bin/pip install -q -c constraints.txt '.[service]'

@@ -1,4 +1,4 @@
-"""How the loops of the kernels are compiled (docs/decisions/0111, 0289)."""
+"""How the loops of the kernels are compiled (docs/decisions/0111, 0289, 0342)."""
 
 from __future__ import annotations
 
@@ -7,6 +7,10 @@ from typing import Any, TypeVar, cast
 
 import numba
 from numba.extending import register_jitable
+
+from revisit.core.kernels.processor import choose_processor
+
+choose_processor()
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 

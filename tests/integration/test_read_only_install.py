@@ -9,6 +9,8 @@ from contextlib import closing
 from pathlib import Path
 
 import pytest
+from llvmlite import binding
+from numba.core.caching import UserProvidedCacheLocator
 
 from revisit.service import compiled_kernels
 from revisit.service.__main__ import main
@@ -82,3 +84,36 @@ def test_a_folder_that_can_be_written_to_is_used_as_it_is(tmp_path, monkeypatch)
     monkeypatch.setenv("NUMBA_CACHE_DIR", "")
     monkeypatch.setattr(compiled_kernels, "_writable", lambda _: True)
     assert choose_cache(tmp_path) is None and not list(tmp_path.iterdir())
+
+
+def test_kernels_that_were_shipped_are_copied_once_to_where_numba_looks_for_them(tmp_path, monkeypatch):
+    code, home = tmp_path / "kernels", tmp_path / "home"
+    (code / "__pycache__").mkdir(parents=True)
+    (code / "__pycache__" / "arcs.seen-1.py311.nbi").write_bytes(b"index")
+    monkeypatch.setenv("NUMBA_CACHE_DIR", "")
+    monkeypatch.setattr(compiled_kernels, "_writable", lambda _: False)
+    monkeypatch.setattr(compiled_kernels, "_CODE", (code,))
+    folder = choose_cache(home)
+    copied = home / "compiled-kernels" / UserProvidedCacheLocator.get_suitable_cache_subpath(str(code / "arcs.py"))
+    assert folder == home / "compiled-kernels"
+    assert (copied / "arcs.seen-1.py311.nbi").read_bytes() == b"index"
+    (copied / "arcs.seen-1.py311.nbi").write_bytes(b"compiled for another processor")
+    assert choose_cache(home) is None
+    assert (copied / "arcs.seen-1.py311.nbi").read_bytes() == b"compiled for another processor"
+    (code / "__pycache__" / "arcs.seen-1.py311.nbi").write_bytes(b"of a later version")
+    choose_cache(home)
+    assert (copied / "arcs.seen-1.py311.nbi").read_bytes() == b"of a later version"
+
+
+ASKED = "from revisit.core.kernels.processor import choose_processor as choose; print(choose())"
+
+
+@pytest.mark.parametrize(("name", "expected"), [("host", "get_host_cpu_name"), ("znver3", "znver3"), ("", "x86-64-v3")])
+def test_kernels_are_compiled_for_the_common_processor_unless_another_is_named(name, expected):
+    host = binding.get_host_cpu_name()
+    if not name and not binding.get_host_cpu_features().get("avx2"):
+        pytest.skip("this processor is older than x86-64-v3")
+    environment = {key: value for key, value in os.environ.items() if not key.startswith("NUMBA")}
+    environment |= {"NUMBA_CPU_NAME": name} if name else {}
+    told = subprocess.run([sys.executable, "-c", ASKED], env=environment, capture_output=True, text=True, check=True)
+    assert told.stdout.strip() == expected.replace("get_host_cpu_name", host)
