@@ -6,7 +6,6 @@ compiled elsewhere is loaded and not compiled again.
 
 from __future__ import annotations
 
-import os
 import platform
 from typing import Any
 
@@ -16,6 +15,10 @@ from numba.core import config
 COMMON = "x86-64-v3"
 """Since Intel's Haswell of 2013 and AMD's Excavator of 2015."""
 
+_SETTINGS: Any = config
+_ASKED = str(_SETTINGS.CPU_NAME or "")
+"""The name in the environment, as numba has read it."""
+
 _NEEDED = ("avx2", "bmi", "bmi2", "f16c", "fma", "lzcnt", "movbe")
 
 
@@ -24,13 +27,11 @@ def choose_processor() -> str:
 
     To be called before the first kernel is compiled or loaded.
     """
-    settings: Any = config
-    asked = os.environ.get("NUMBA_CPU_NAME", "")
-    if asked == "host":
-        settings.CPU_NAME = None
-    elif not asked and _is_common():
-        settings.CPU_NAME, settings.CPU_FEATURES = COMMON, ""
-    return settings.CPU_NAME or str(binding.get_host_cpu_name())
+    if _ASKED == "host":
+        _SETTINGS.CPU_NAME = None
+    elif not _ASKED and _is_common():
+        _SETTINGS.CPU_NAME, _SETTINGS.CPU_FEATURES = COMMON, ""
+    return _SETTINGS.CPU_NAME or str(binding.get_host_cpu_name())
 
 
 def _is_common() -> bool:

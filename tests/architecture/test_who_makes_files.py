@@ -38,6 +38,8 @@ ALLOWED = {
     "service/worker/confinement.py": {"Path('/proc/self/oom_score_adj').write_text"},
     # Opens a folder to lock it: `open` takes files alone.
     "service/adapters/warmup.py": {"os.open"},
+    # A cache of compiled code: whatever is lost is compiled again.
+    "service/compiled_kernels.py": {"beside.write_bytes"},
 }
 
 

@@ -56,10 +56,10 @@ async def measured(home: Path) -> tuple[dict[str, int], dict[str, int], int, int
     await world.use_cases.sessions.finish(TENANT, SESSION)
     world.work_off(load_recogniser())
     whole = weighed(home)
+    chosen = run(home / "revisit.db", "SELECT count(*) FROM scans WHERE chosen")[0][0]
     await retained(world, "scans=none")
     without = weighed(home)
     submaps = run(home / "revisit.db", "SELECT count(*) FROM submaps WHERE state = 'DESCRIBED'")[0][0]
-    chosen = run(home / "revisit.db", "SELECT count(*) FROM scans WHERE chosen")[0][0]
     world.context.transactions.close()
     whole[DATABASE] -= empty[DATABASE]
     return whole, without, submaps, chosen
