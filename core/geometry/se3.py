@@ -156,6 +156,11 @@ def log(transform: Matrix4) -> NDArray[np.float64]:
     return np.concatenate([inverse_left @ transform[:3, 3], phi])
 
 
+def interpolated(first: Matrix4, second: Matrix4, share: float) -> Matrix4:
+    """The pose after a share of the screw motion from one pose to another: 0 is the first, 1 the second."""
+    return np.asarray(first @ exp(share * log(inverse(first) @ second)))
+
+
 def _hat(vector: NDArray[np.float64]) -> NDArray[np.float64]:
     x, y, z = vector
     return np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])

@@ -17,7 +17,7 @@ _SMALL = 1e-4
 def inverse(transforms: Array64) -> Array64:
     """The inverses (n, 4, 4)."""
     turned = transforms[:, :3, :3].transpose(0, 2, 1)
-    return _transforms(turned, -_turn(turned, transforms[:, :3, 3]))
+    return _transforms(turned, -turn(turned, transforms[:, :3, 3]))
 
 
 def adjoint(transforms: Array64) -> Array64:
@@ -39,7 +39,7 @@ def exp(tangents: Array64) -> Array64:
     c = np.where(angle > _SMALL, (safe - np.sin(safe)) / safe**3, 1.0 / 6.0 - squared / 120.0)
     twice, unit = k @ k, np.eye(3)
     rotations = unit + a[:, None, None] * k + b[:, None, None] * twice
-    return _transforms(rotations, _turn(unit + b[:, None, None] * k + c[:, None, None] * twice, rho))
+    return _transforms(rotations, turn(unit + b[:, None, None] * k + c[:, None, None] * twice, rho))
 
 
 def log(transforms: Array64) -> Array64:
@@ -59,7 +59,7 @@ def log(transforms: Array64) -> Array64:
     half, k = np.where(angle > _SMALL, 0.5 * angle, 1.0), hat(phi)
     factor = np.where(angle > _SMALL, (1.0 - half * np.cos(half) / np.sin(half)) / (4.0 * half**2), 1.0 / 12.0)
     inverse_left = np.eye(3) - 0.5 * k + factor[:, None, None] * (k @ k)
-    return np.concatenate([_turn(inverse_left, transforms[:, :3, 3]), phi], axis=1)
+    return np.concatenate([turn(inverse_left, transforms[:, :3, 3]), phi], axis=1)
 
 
 def inverse_right_jacobian(tangents: Array64) -> Array64:
@@ -81,7 +81,8 @@ def _transforms(rotations: Array64, translations: Array64) -> Array64:
     return out
 
 
-def _turn(matrices: Array64, vectors: Array64) -> Array64:
+def turn(matrices: Array64, vectors: Array64) -> Array64:
+    """The products (n, 3) of matrices (n, 3, 3) with vectors (n, 3)."""
     return np.asarray(np.einsum("nij,nj->ni", matrices, vectors))
 
 

@@ -54,16 +54,16 @@ class AbsoluteEdges:
     def points_at(self, poses: Array64) -> Array64:
         """Where poses (n, 4, 4) put the points (k, 3)."""
         at = poses[self.rows]
-        return np.asarray(_turn(at[:, :3, :3], self.points) + at[:, :3, 3])
+        return np.asarray(se3_rows.turn(at[:, :3, :3], self.points) + at[:, :3, 3])
 
     def headings_at(self, poses: Array64) -> Array64:
         """The headings (k,) that poses (n, 4, 4) give the forward directions."""
-        ahead = _turn(poses[self.rows, :3, :3], self.forwards)
+        ahead = se3_rows.turn(poses[self.rows, :3, :3], self.forwards)
         return np.asarray(np.arctan2(ahead[:, 1], ahead[:, 0]))
 
     def errors(self, poses: Array64) -> Array64:
         """The errors (k, 6) of poses (n, 4, 4)."""
-        up = _turn(poses[self.rows, :3, :3], self.ups)
+        up = se3_rows.turn(poses[self.rows, :3, :3], self.ups)
         turned = self.headings_at(poses) - self.headings
         wrapped = np.arctan2(np.sin(turned), np.cos(turned))
         return np.column_stack([self.points_at(poses) - self.places, up[:, :2], wrapped])
@@ -79,7 +79,7 @@ class AbsoluteEdges:
         found[:, :3, :3] = turns
         found[:, :3, 3:] = -turns @ se3_rows.hat(self.points)
         found[:, 3:5, 3:] = -(turns @ se3_rows.hat(self.ups))[:, :2]
-        ahead, moved = _turn(turns, self.forwards), -turns @ se3_rows.hat(self.forwards)
+        ahead, moved = se3_rows.turn(turns, self.forwards), -turns @ se3_rows.hat(self.forwards)
         x, y = ahead[:, :1], ahead[:, 1:2]
         found[:, 5, 3:] = (x * moved[:, 1] - y * moved[:, 0]) / np.maximum(x**2 + y**2, 1e-12)
         return found
@@ -135,7 +135,3 @@ class GroundedEdges:
             diagonal=between.diagonal + summed(pulled @ turned, self.absolute.rows, len(poses)),
             gradient=between.gradient + summed(force, self.absolute.rows, len(poses)),
         )
-
-
-def _turn(matrices: Array64, vectors: Array64) -> Array64:
-    return np.asarray(np.einsum("nij,nj->ni", matrices, vectors))

@@ -86,10 +86,7 @@ def _level_fit(edges: AbsoluteEdges, T_map_submap: Array64, weights: Array64) ->
 
 def _turned(angle: float, middle: Array64, target: Array64) -> se3.Matrix4:
     """The turn by an angle about z that takes point `middle` to `target`."""
-    T = np.eye(4)
-    T[:2, :2] = [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
-    T[:3, 3] = target - T[:3, :3] @ middle
-    return T
+    return se3.from_yaw(angle, target - se3.from_yaw(angle)[:3, :3] @ middle)
 
 
 def heading_sigma_rad(edges: AbsoluteEdges, T_world_submap: Array64) -> float:

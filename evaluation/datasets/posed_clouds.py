@@ -73,7 +73,7 @@ class StampedPoses:
         # Differences of integers: nanoseconds since 1970 exceed a float64.
         elapsed = int(stamp_ns) - int(self.stamps_ns[after - 1])
         share = elapsed / (int(self.stamps_ns[after]) - int(self.stamps_ns[after - 1]))
-        return np.asarray(first @ se3.exp(share * se3.log(se3.inverse(first) @ second)))
+        return se3.interpolated(first, second, share)
 
 
 @dataclass(frozen=True)

@@ -77,4 +77,4 @@ def _blended(corrections: Sequence[Correction], at_m: NDArray[np.float64], made_
         return corrections[-1].T_map_odom
     first, second = corrections[after - 1].T_map_odom, corrections[after].T_map_odom
     share = (made_m - at_m[after - 1]) / (at_m[after] - at_m[after - 1])
-    return np.asarray(first @ se3.exp(share * se3.log(se3.inverse(first) @ second)))
+    return se3.interpolated(first, second, float(share))

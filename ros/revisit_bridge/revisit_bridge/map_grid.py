@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from revisit.core.errors import RevisitError
 from revisit.core.geometry import se3
+from revisit.core.geometry.voxel_keys import first_rows, voxel_keys
 from revisit.formats import npy
 from revisit.formats.cloud import DEFAULT_LIMITS
 from revisit.formats.occupancy_grid import GridOptions, OccupancyGrid, grid_of
@@ -141,7 +142,7 @@ class MapGrids:
         if submap not in self._points:
             points = np.asarray(self.source.points(submap), dtype=np.float64)
             cubes = np.floor(points / THIN_M).astype(np.int64)
-            self._points[submap] = points[np.sort(np.unique(cubes, axis=0, return_index=True)[1])]
+            self._points[submap] = points[np.sort(first_rows(voxel_keys(cubes)))]
         return self._points[submap]
 
 

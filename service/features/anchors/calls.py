@@ -55,8 +55,8 @@ class Anchors:
     async def post(self, tenant: TenantId, key: SessionKey, anchors: Sequence[NewAnchor]) -> list[AnchorView]:
         """Store anchors of a session, all or none; those that are there with the same content are passed over.
 
-        The map is optimised with them once the session has ended. Raises BadField; NotFound; AlreadyExists for other
-        content; NotFound where the scans do not tell the pose at a time; Draining, RateLimited.
+        The map is optimised with them once the session has ended. Raises BadField, also where the scans do not tell the
+        pose at a time; NotFound; AlreadyExists for other content; Draining, RateLimited.
         """
         limits.ANCHORS.validated(len(anchors), "anchors")
         posted = [one.validated() for one in anchors]

@@ -49,10 +49,8 @@ class NewAnchor:
         return self
 
     def _require_heading(self) -> None:
-        told = self.heading_rad is not None and self.heading_sigma_rad is not None
-        if told != (self.kind is AnchorKind.KNOWN_POSE) or (self.heading_rad is None) != (
-            self.heading_sigma_rad is None
-        ):
+        told = {self.heading_rad is not None, self.heading_sigma_rad is not None}
+        if told != {self.kind is AnchorKind.KNOWN_POSE}:
             raise BadField(
                 "a KNOWN_POSE needs heading_rad and heading_sigma_rad, others have none", field="heading_rad"
             )
@@ -112,5 +110,4 @@ class DrivePoses:
             return None
         first, last = self.stamps_ns[after - 1], self.stamps_ns[after]
         T_first, T_last = pose_matrix(self.T_odom[after - 1]), pose_matrix(self.T_odom[after])
-        share = (stamp_ns - first) / (last - first)
-        return np.asarray(T_first @ se3.exp(share * se3.log(se3.inverse(T_first) @ T_last)))
+        return se3.interpolated(T_first, T_last, (stamp_ns - first) / (last - first))

@@ -40,11 +40,14 @@ class CaughtUpIndex:
 
     def nearest(self, question: PlaceQuestion) -> PlaceAnswer:
         """See `PlaceSearch`."""
-        tenant, number, before = question.tenant, question.map_number, question.before
+        number = question.map_number
         while True:
-            seq = self.catch_up(tenant, number, before)
+            seq = self.catch_up(question.tenant, number, question.before)
+            known = self._index.seq(number)
             matches = self._search(question, self._entered_in_time(question))
-            if self._index.seq(number) >= seq and not self._too_late(question).intersection(_numbers(matches)):
+            now = self._index.seq(number)
+            came_since = now != known and bool(self._too_late(question).intersection(_numbers(matches)))
+            if now >= seq and not came_since:
                 return self._answer(question, matches)
             # Meanwhile the map was forgotten, to be loaded again; or others caught up, and what they brought was found.
 
