@@ -130,6 +130,7 @@ def command_line() -> str:
 
     from revisit.cli.app import app
     from revisit.cli.former_names import FORMER
+    from revisit.sdk.addresses import FORMER as FORMER_VARIABLES
 
     group = cast(Any, typer.main.get_command(app))
     parts = [
@@ -139,13 +140,20 @@ def command_line() -> str:
             "78: settings cannot be used. Progress goes to stderr and answers to stdout; `--json` makes the answer one "
             "JSON document."
         ),
+        (
+            "One address for all commands: `--http http://HOST:PORT`, or HOST for port 8080, or the variable "
+            "REVISIT_HTTP; by default this machine. Commands that stream find the gRPC side on port 8090 of the same "
+            "host. Where the service has other ports, `--grpc HOST:PORT` or REVISIT_GRPC names it. Options go before "
+            "variables."
+        ),
     ]
     for name, command in commands_of(group, "revisit"):
         rows = [_option_row(parameter) for parameter in command.params if parameter.name != "help"]
         parts += [f"## {name}", str(command.help)]
         parts += ["\n".join(["| argument or option | default | meaning |", "|---|---|---|", *rows])] if rows else []
     gone = [f"| `revisit {name}` | `{instead}` |" for name, instead in FORMER.items()]
-    parts += ["## Former names", "\n".join(["| former command | instead |", "|---|---|", *gone])]
+    gone += [f"| `{name}` | `{instead}` |" for name, instead in FORMER_VARIABLES.items()]
+    parts += ["## Former names", "\n".join(["| former name | instead |", "|---|---|", *gone])]
     return _page(parts)
 
 

@@ -16,7 +16,7 @@ from revisit.service.settings import GONE, Settings
 
 PREFIX = "REVISIT_"
 
-OF_CLIENTS = ("URL", "GRPC", "API_KEY", "CA", "CERTIFICATE", "CERTIFICATE_KEY")
+OF_CLIENTS = ("HTTP", "GRPC", "API_KEY", "CA", "CERTIFICATE", "CERTIFICATE_KEY")
 """Variables of the SDK and the command line."""
 
 OF_KUBERNETES = re.compile(r"(SERVICE_HOST|SERVICE_PORT|PORT)(_.*)?")

@@ -1,4 +1,4 @@
-"""Show a made-up yard on two days, from two places, and see how they meet. The service: $REVISIT_URL or here."""
+"""Show a made-up yard on two days, from two places, and see how they meet. The service: $REVISIT_HTTP or here."""
 
 import numpy as np
 

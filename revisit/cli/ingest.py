@@ -15,7 +15,7 @@ import typer
 from revisit.cli.extras import needs
 from revisit.cli.ids import id_of, require_id
 from revisit.cli.inspect import warn, warn_of_findings
-from revisit.cli.options import GRPC, Grpc, Json, MapName
+from revisit.cli.options import GRPC, HTTP, Grpc, Http, Json, MapName
 from revisit.cli.output import emit_json, emit_table, progress_bar, refuse, signs, tell
 from revisit.cli.recordings import Deskew, Format, Mounting, Odometry, Poses, Topic, opened
 from revisit.core.errors import RevisitError
@@ -171,6 +171,7 @@ def ingest(
     ] = None,
     no_gnss: Annotated[bool, typer.Option("--no-gnss", help="Post no fixes of satellites as anchors.")] = False,
     antenna: Annotated[str, typer.Option(help="The antenna in the frame of the sensor: 'x y z', metres.")] = "0 0 0",
+    http: Http = HTTP,
     grpc: Grpc = GRPC,
     limit: Limit = None,
     spool: Annotated[
@@ -184,7 +185,10 @@ def ingest(
     json: Json = False,
 ) -> None:
     """Stream a recording; run it again to resume."""
+    from revisit.sdk.addresses import grpc_address
+
     _silence_the_sdk()
+    grpc = grpc_address(grpc, http)
     require_id("--map", map_id)
     if session_id:
         require_id("--session", session_id)

@@ -7,8 +7,11 @@ from typing import Annotated
 
 import typer
 
-Http = Annotated[str, typer.Option(envvar="REVISIT_URL", help="URL of the service.")]
-Grpc = Annotated[str, typer.Option(envvar="REVISIT_GRPC", help="host:port of the service's gRPC side.")]
+Http = Annotated[str, typer.Option(help="The service: http://HOST:PORT, or HOST. By default REVISIT_HTTP, or here.")]
+Grpc = Annotated[
+    str,
+    typer.Option(help="HOST:PORT of its gRPC side, where that is not port 8090 beside 8080. Or REVISIT_GRPC."),
+]
 Home = Annotated[Path | None, typer.Option(help="Directory of the database and the blobs.")]
 Json = Annotated[bool, typer.Option("--json", help="Answer as JSON.")]
 Yes = Annotated[bool, typer.Option("--yes", help="Do not ask.")]
@@ -25,5 +28,5 @@ RECORDINGS = (
     "rosbag2 (mcap or db3) or rosbag1 (bag)."
 )
 
-HTTP = "http://127.0.0.1:8080"
-GRPC = "127.0.0.1:8090"
+HTTP, GRPC = "", ""
+"""Not given: `revisit.sdk.addresses` says where the service is then."""

@@ -61,7 +61,7 @@ def query(
     if along is not None:
         if cloud is not None or submap or level or explain or (file and (storey or exclude_session)):
             raise refuse("--along takes --every and, without --file, --map, --storey and --exclude-session")
-        _relocalise(file, conversation(map_id, grpc, storey, exclude_session), along, every, json)
+        _relocalise(file, conversation(map_id, (http, grpc), storey, exclude_session), along, every, json)
         return
     if file is not None:
         if cloud is None or submap or exclude_session or level or storey or explain:

@@ -8,17 +8,19 @@ from typing import Annotated
 
 import typer
 
-from revisit.cli.options import GRPC, Grpc, Json
+from revisit.cli.options import GRPC, HTTP, Grpc, Http, Json
 from revisit.cli.output import emit_json, emit_table
 
 
 def spool(
     file: Annotated[Path, typer.Argument(exists=True, dir_okay=False, help="The spool.")],
     send: Annotated[bool, typer.Option(help="Send what it holds first.")] = False,
+    http: Http = HTTP,
     grpc: Grpc = GRPC,
     json: Json = False,
 ) -> None:
     """Show the content of a robot's spool and the scans that the service refused; --send empties it first."""
+    from revisit.sdk.addresses import grpc_address
     from revisit.sdk.client import Client
     from revisit.sdk.spool import Spool
 
@@ -26,7 +28,7 @@ def spool(
     state, dead = opened.state, opened.dead_letters()
     opened.close()
     if send and state.pending:
-        with Client.grpc(grpc) as client, client.spooled_stream(state.session, file) as stream:
+        with Client.grpc(grpc_address(grpc, http)) as client, client.spooled_stream(state.session, file) as stream:
             stream.flush()
             state, dead = stream.state, stream.dead_letters
     if json:

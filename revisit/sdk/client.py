@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -10,6 +9,7 @@ from typing import Any, Self
 
 from revisit.api.calls import CALLS
 from revisit.sdk import names
+from revisit.sdk.addresses import grpc_address, http_address
 from revisit.sdk.clouds import PointsLike, encoded
 from revisit.sdk.conversations import Conversation
 from revisit.sdk.corrections import CorrectionWatch
@@ -37,9 +37,6 @@ from revisit.sdk.spooled_stream import RECONNECT, SpooledStream
 from revisit.sdk.transport import Forgetful, OnDelay, Refusal, ScanSink, Transport
 from revisit.sdk.watching import Watch
 from revisit.v1 import event_pb2, loop_closure_pb2, mapping_pb2, system_pb2
-
-DEFAULT_HTTP = "http://127.0.0.1:8080"
-DEFAULT_GRPC = "127.0.0.1:8090"
 
 DELETIONS = {
     "maps": "DeleteMap",
@@ -69,7 +66,7 @@ class Client:
         transport: Transport | None = None,
         retry: RetryPolicy = RetryPolicy(),
     ) -> None:
-        """Over REST at the URL `http`, by default $REVISIT_URL or port 8080 here; unless another transport is given.
+        """Over REST at the URL `http`, by default $REVISIT_HTTP or port 8080 here; unless another transport is given.
 
         `api_key`, by default $REVISIT_API_KEY; `ca`, by default $REVISIT_CA: a PEM file of the authorities to trust.
         """
@@ -77,7 +74,7 @@ class Client:
             from revisit.sdk.rest_transport import RestTransport
 
             credentials = Credentials.given(api_key, ca)
-            transport = RestTransport(http or os.environ.get("REVISIT_URL", DEFAULT_HTTP), retry, credentials)
+            transport = RestTransport(http_address(http), retry, credentials)
         self._transport: Transport = transport
         self._retry = retry
         self.maps = Maps(transport)
@@ -107,14 +104,14 @@ class Client:
         ca: str | Path | None = None,
         retry: RetryPolicy = RetryPolicy(),
     ) -> Self:
-        """A client over gRPC at host:port, by default $REVISIT_GRPC or port 8090 here; `grpcs://host:port` for TLS.
+        """A client over gRPC at host:port, by default $REVISIT_GRPC, or port 8090 beside $REVISIT_HTTP, or here.
 
-        Credentials as for REST; a client certificate from $REVISIT_CERTIFICATE and $REVISIT_CERTIFICATE_KEY.
+        `grpcs://host:port` for TLS. Credentials as for REST; a client certificate from $REVISIT_CERTIFICATE and
+        $REVISIT_CERTIFICATE_KEY.
         """
         from revisit.sdk.grpc_transport import GrpcTransport
 
-        address = address or os.environ.get("REVISIT_GRPC", DEFAULT_GRPC)
-        return cls(transport=GrpcTransport(address, retry, Credentials.given(api_key, ca)), retry=retry)
+        return cls(transport=GrpcTransport(grpc_address(address), retry, Credentials.given(api_key, ca)), retry=retry)
 
     def _name_catalogue_calls(self) -> None:
         """Maps, robots, sessions and submaps, as programs of before there were groups name the calls."""

@@ -42,7 +42,7 @@ def numbers(rows):
 
 
 def test_the_rest_example_finds_how_the_robot_stood_on_the_second_day(running):
-    (T_match_query,) = loops_printed("rest_client.py", REVISIT_URL=running.url).values()
+    (T_match_query,) = loops_printed("rest_client.py", REVISIT_HTTP=running.url).values()
     assert T_match_query == pytest.approx(se3.from_yaw(np.radians(40.0), (3.0, 0.0, 0.0)), abs=0.05)
 
 

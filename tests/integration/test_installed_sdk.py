@@ -270,7 +270,7 @@ def test_the_service_of_a_wheel_made_of_the_sdist_finds_a_loop(unpacked, project
     (tmp_path / "home").mkdir()
     with closing(InstalledService(environment, project, tmp_path / "home")) as service:
         example = [environment / "bin/python", ROOT / "docs/examples/rest_client.py"]
-        variables = {**clean(), "REVISIT_URL": service.url}
+        variables = {**clean(), "REVISIT_HTTP": service.url}
         shown = subprocess.run(example, cwd=project, env=variables, capture_output=True, text=True, check=True).stdout
         assert shown.count(" is where ") == 1 and "score 1.00" in shown
         assert service.terminate()[0] == 0

@@ -83,7 +83,7 @@ def test_the_service_works_under_the_calls_that_the_unit_leaves_it(supervisor, t
         assert supervisor.recv(100) == b"READY=1"
         example = [sys.executable, str(ROOT / "docs/examples/rest_client.py")]
         told = subprocess.run(
-            example, env={**os.environ, "REVISIT_URL": service.url}, capture_output=True, text=True, check=True
+            example, env={**os.environ, "REVISIT_HTTP": service.url}, capture_output=True, text=True, check=True
         )
         assert (
             "maps/yard/sessions/tuesday/submaps/start is where maps/yard/sessions/monday/submaps/start" in told.stdout

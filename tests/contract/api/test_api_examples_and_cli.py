@@ -64,7 +64,7 @@ def test_both_examples_see_the_same_yard():
 
 def test_the_rest_example_compares_the_two_days(service):
     # What the method makes of the yard is in tests/integration/test_documented_examples.py.
-    output = run_example("rest_client.py", REVISIT_URL=service.http)
+    output = run_example("rest_client.py", REVISIT_HTTP=service.http)
     assert "maps/yard/sessions/tuesday/submaps/start is where maps/yard/sessions/monday/submaps/start was" in output
 
 
@@ -84,7 +84,7 @@ def test_the_curl_example_posts_a_cloud(service, tmp_path):
     page = (ROOT / "docs/how-to/ingest-a-recording.md").read_text()
     (commands,) = [block for block in re.findall(r"```sh\n(.+?)```", page, re.DOTALL) if "curl" in block]
     np.save(tmp_path / "cloud.npy", cloud_points(3))
-    variables = {"REVISIT_URL": service.http, "PATH": os.environ["PATH"], "no_proxy": "*"}
+    variables = {"REVISIT_HTTP": service.http, "PATH": os.environ["PATH"], "no_proxy": "*"}
     done = subprocess.run(
         ["sh", "-e", "-c", commands], cwd=tmp_path, env=variables, capture_output=True, text=True, check=False
     )

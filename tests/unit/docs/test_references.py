@@ -113,7 +113,7 @@ def test_every_option_in_a_guide_is_an_option_of_its_command(page):
 
 
 def test_every_setting_in_a_guide_exists():
-    clients = {"REVISIT_URL", "REVISIT_GRPC", "REVISIT_API_KEY", "REVISIT_CA"}
+    clients = {"REVISIT_HTTP", "REVISIT_GRPC", "REVISIT_API_KEY", "REVISIT_CA"}
     clients |= {"REVISIT_CERTIFICATE", "REVISIT_CERTIFICATE_KEY", "REVISIT_DATA"}
     known = {f"REVISIT_{name.upper()}" for name in Settings.model_fields} | clients
     for page in [*(DOCS / "how-to").glob("*.md"), *(DOCS / "tutorial").glob("*.md"), ROOT / "README.md"]:
