@@ -22,7 +22,7 @@ from revisit.evaluation.datasets.topic_choice import WantedTopics
 __all__ = [
     "AUTO", "FORMATS", "KISS_ICP", "BagRecording", "KittiRecording", "PosedClouds", "Recording", "WantedTopics",
     "findings_of", "name_of_scan", "notes_of", "open_bag", "open_cloud_folder", "open_kitti360", "open_mulran",
-    "open_nclt", "open_recording", "write_kitti",
+    "open_nclt", "open_recording", "unposed_of", "write_kitti",
 ]  # fmt: skip
 
 FORMATS: dict[str, Callable[[Path], Recording]] = {
@@ -47,24 +47,25 @@ def open_recording(
     wanted: WantedTopics = WantedTopics(),
     poses: Path | None = None,
     report: Report | None = None,
+    limit: int | None = None,
 ) -> Recording:
     """The recording in `folder`. `wanted` is for bags, `poses` a file of them for a folder of clouds.
 
-    The odometry `KISS_ICP` is for both: it is made of the clouds, and `report` is told how far it is. Raises BadField
-    for an unknown format, or where topics are named and it is no bag, and what opening raises.
+    The odometry `KISS_ICP` is for both: it is made of the first `limit` clouds, and `report` is told how far it is.
+    Raises BadField for an unknown format, or where topics are named and it is no bag, and what opening raises.
     """
     if wanted.odometry == KISS_ICP and not is_bag(folder):
-        return _without_poses(folder, file_format, wanted, poses, report)
+        return _without_poses(folder, file_format, wanted, poses, report, limit)
     if poses is not None:
         if is_bag(folder) or file_format not in (AUTO, "clouds", "kitti") or wanted != WantedTopics():
             raise BadField("--poses is for folders of clouds: a bag has its poses in a topic", field="poses")
         return open_cloud_folder(folder, poses)
     if file_format == AUTO:
-        return _of_what_is_there(folder, wanted, report)
+        return _of_what_is_there(folder, wanted, report, limit)
     if file_format not in FORMATS:
         raise BadField(f"the format is one of {', '.join((AUTO, *FORMATS))}, not {file_format[:40]!r}", field="format")
     if FORMATS[file_format] is open_bag:
-        return open_bag(folder, wanted, report)
+        return open_bag(folder, wanted, report, limit)
     if wanted != WantedTopics():
         raise BadField("topics and the mounting of the sensor are for bags", field="topic")
     try:
@@ -93,6 +94,11 @@ def findings_of(recording: Recording) -> tuple[Finding, ...]:
     return recording.findings if isinstance(recording, BagRecording) else ()
 
 
+def unposed_of(recording: Recording) -> int:
+    """How many scans of the source lie behind the last one of the recording, as their poses were not asked for."""
+    return recording.unposed if isinstance(recording, BagRecording | PosedClouds) else 0
+
+
 def name_of_scan(recording: Recording, index: int) -> str:
     """The label of a scan for a person: its file, or in a bag its number from 1 and its time."""
     if isinstance(recording, KittiRecording | PosedClouds):
@@ -101,7 +107,12 @@ def name_of_scan(recording: Recording, index: int) -> str:
 
 
 def _without_poses(
-    folder: Path, file_format: str, wanted: WantedTopics, poses: Path | None, report: Report | None
+    folder: Path,
+    file_format: str,
+    wanted: WantedTopics,
+    poses: Path | None,
+    report: Report | None,
+    limit: int | None,
 ) -> Recording:
     """Clouds whose poses are made."""
     if poses is not None or wanted != WantedTopics(odometry=KISS_ICP):
@@ -110,12 +121,12 @@ def _without_poses(
         )
     if file_format not in (AUTO, "clouds", "kitti"):
         raise BadField(f"--odometry {KISS_ICP} is for folders of clouds and for bags", field="odometry")
-    return open_unposed_clouds(folder, report)
+    return open_unposed_clouds(folder, report, limit)
 
 
-def _of_what_is_there(folder: Path, wanted: WantedTopics, report: Report | None) -> Recording:
+def _of_what_is_there(folder: Path, wanted: WantedTopics, report: Report | None, limit: int | None) -> Recording:
     try:
-        return open_recording(folder, _format_of(folder), wanted, report=report)
+        return open_recording(folder, _format_of(folder), wanted, report=report, limit=limit)
     except FileNotFoundError as error:
         if advice := bags_out_of_sight(folder):
             raise FileNotFoundError(f"{error}; {advice}") from error

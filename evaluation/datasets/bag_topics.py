@@ -60,6 +60,13 @@ class CloudTopic:
             part.take(Header(stamp, frame), place)
         return list(parts.values())
 
+    def first(self, count: int | None) -> CloudTopic:
+        """The earliest `count` clouds by time, all for None, in the order of the bag."""
+        part = CloudTopic(self.name, self.message_type, self.encoding)
+        for row in np.sort(np.argsort(self.stamps_ns, kind="stable")[:count]):
+            part.take(Header(self.stamps[row], self.frames[row]), self.places[row])
+        return part
+
     @property
     def stamps_ns(self) -> Stamps:
         """Times (n,) in the order of the bag, nanoseconds."""

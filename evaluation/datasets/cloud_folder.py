@@ -67,18 +67,19 @@ def open_cloud_folder(folder: Path, poses: Path | None = None) -> PosedClouds:
     return interpolated(name, (files, named), StampedPoses(stamps, matrices), np.eye(4), read_cloud)
 
 
-def open_unposed_clouds(folder: Path, report: Report | None = None) -> PosedClouds:
+def open_unposed_clouds(folder: Path, report: Report | None = None, limit: int | None = None) -> PosedClouds:
     """Clouds as `open_cloud_folder` finds them, their poses by KISS-ICP from the clouds themselves.
 
     Times are those of `times.txt` (seconds, one a cloud), else those that the files are named by, else 0.1 s apart.
-    Raises FileNotFoundError, ImportError without KISS-ICP, and what a damaged cloud raises.
+    Only the first `limit` clouds are read. Raises FileNotFoundError, ImportError without KISS-ICP, and as a damaged
+    cloud does.
     """
     files = _clouds(folder)
-    odometry = odometry_of(lambda index: read_cloud(files[index]), len(files), report)
-    stamps = _stamps(folder, files)
-    return replace(
-        posed(folder.resolve().name, files, list(odometry.T_odom_sensor), stamps, read_cloud), notes=odometry.notes()
-    )
+    wanted = files[:limit]
+    odometry = odometry_of(lambda index: read_cloud(wanted[index]), len(wanted), report)
+    stamps = _stamps(folder, files)[:limit]
+    clouds = posed(folder.resolve().name, wanted, list(odometry.T_odom_sensor), stamps, read_cloud)
+    return replace(clouds, notes=odometry.notes(), unposed=len(files) - len(wanted))
 
 
 def _stamps(folder: Path, files: list[Path]) -> Stamps:

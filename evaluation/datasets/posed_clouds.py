@@ -82,7 +82,7 @@ class PosedClouds:
 
     T_world_sensor (n, 4, 4), z up; stamps_ns (n,) int64; `read` gives the points (n, 3) of a file in the sensor frame;
     `origin` (3,) is where the world's origin lies in the published map frame, metres; `notes` are sentences about how
-    the poses were made.
+    the poses were made; `unposed` is the number of files behind these whose poses nobody made.
     """
 
     name: str
@@ -92,6 +92,7 @@ class PosedClouds:
     read: CloudReader
     origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
     notes: Sequence[str] = ()
+    unposed: int = 0
 
     def __post_init__(self) -> None:
         if not self.files:

@@ -37,7 +37,7 @@ class BagRecording:
 
     A scan's points are read from the bag when asked for: `clouds` are those that each scan consists of.
     `notes` are sentences about the choice of topics; `findings` rest on the order of the bag's messages. `fixes` of
-    satellites are by topic.
+    satellites are by topic. `unposed` is the number of clouds behind these whose poses nobody made.
     """
 
     name: str
@@ -48,6 +48,7 @@ class BagRecording:
     notes: tuple[str, ...]
     findings: tuple[Finding, ...] = ()
     fixes: Mapping[str, Sequence[SatelliteFix]] = field(default_factory=dict)
+    unposed: int = 0
 
     def __len__(self) -> int:
         return len(self.clouds)
@@ -66,13 +67,15 @@ class BagRecording:
         return (self.scan(index) for index in range(len(self)))
 
 
-def open_bag(path: Path, wanted: WantedTopics = WantedTopics(), report: Report | None = None) -> BagRecording:
+def open_bag(
+    path: Path, wanted: WantedTopics = WantedTopics(), report: Report | None = None, limit: int | None = None
+) -> BagRecording:
     """A bag: one file, or a folder with one or with the files of a split one.
 
     Clouds and poses are chosen by their frames (`topic_choice`), unless `wanted` names them. The world must have z up.
     Clouds without a pose before and after them are left out. Topics that are `wanted` together are merged sweep by
-    sweep (`placed_clouds`). The odometry `KISS_ICP` is made of the clouds; `report`
-    is told how far it is. Raises FileNotFoundError, BadField, BadTransform, MalformedBody, UnsupportedEncoding,
+    sweep (`placed_clouds`). The odometry `KISS_ICP` is made of the clouds, of the first `limit` of them; `report` is
+    told how far it is. Raises FileNotFoundError, BadField, BadTransform, MalformedBody, UnsupportedEncoding,
     ImportError without KISS-ICP.
     """
     if wanted.T_body_sensor is not None:
@@ -80,7 +83,7 @@ def open_bag(path: Path, wanted: WantedTopics = WantedTopics(), report: Report |
     files = bag_files(path)
     bag = open_files(files, WANTED_TYPES)
     found = read_topics(bag)
-    pairs, said = _pairs(bag, found, wanted, report)
+    pairs, said, unposed = _pairs(bag, found, wanted, report, limit)
     scans = placed(pairs, wanted.deskew)
     others = [with_other_frames(pair, found, wanted) for pair in choose_beside(pairs[0], found, wanted)]
     together = merged(scans, [placed(other, wanted.deskew) for other in others])
@@ -90,17 +93,18 @@ def open_bag(path: Path, wanted: WantedTopics = WantedTopics(), report: Report |
         files[0].stem if len(files) == 1 else path.resolve().name,
         bag, together.scans.clouds, scans.T_world_sensor, scans.stamps_ns, (*said, *told),
         tuple(check_clocks([pair for topic in (pairs, *others) for pair in topic], found)),
-        found.fixes,
+        found.fixes, unposed,
     )  # fmt: skip
 
 
 def _pairs(
-    bag: Bag, found: BagTopics, wanted: WantedTopics, report: Report | None
-) -> tuple[list[Pairing], Sequence[str]]:
-    """The clouds with their poses, by frame, and sentences on poses that were made."""
+    bag: Bag, found: BagTopics, wanted: WantedTopics, report: Report | None, limit: int | None
+) -> tuple[list[Pairing], Sequence[str], int]:
+    """The clouds with their poses, by frame; sentences on poses that were made; how many clouds got none."""
     if wanted.odometry != KISS_ICP:
-        return with_other_frames(choose(found, wanted), found, wanted), ()
-    clouds = clouds_alone(found, wanted)
+        return with_other_frames(choose(found, wanted), found, wanted), (), 0
+    every = clouds_alone(found, wanted)
+    clouds = every.first(limit)
     order = np.argsort(clouds.stamps_ns, kind="stable")
     stamps, first = np.unique(clouds.stamps_ns[order], return_index=True)
     places = [clouds.places[index] for index in order[first]]
@@ -112,4 +116,5 @@ def _pairs(
     poses = StampedPoses(stamps, odometry.T_odom_sensor)
     why = f"KISS-ICP has found out how {clouds.frame or 'the sensor'} moved"
     here = Fixed(np.eye(4))
-    return [Pairing(clouds, KISS_ICP, Relation.KNOWN, poses, here, None, why)], odometry.notes()
+    unposed = len(every.stamps) - len(clouds.stamps)
+    return [Pairing(clouds, KISS_ICP, Relation.KNOWN, poses, here, None, why)], odometry.notes(), unposed

@@ -135,9 +135,15 @@ class Extent:
         """How many scans of a recording this is about."""
         return min(len(recording), self.limit or len(recording))
 
+    def left_out(self, recording: Recording) -> int:
+        """How many scans lie behind them."""
+        from revisit.evaluation.datasets import unposed_of
+
+        return len(recording) + unposed_of(recording) - self.count(recording)
+
     def finishes(self, recording: Recording) -> bool:
         """Whether the session ends behind them."""
-        return self.count(recording) == len(recording) if self.finish is None else self.finish
+        return not self.left_out(recording) if self.finish is None else self.finish
 
 
 @needs("service")
@@ -192,7 +198,7 @@ def ingest(
     require_id("--map", map_id)
     if session_id:
         require_id("--session", session_id)
-    recording = opened(folder, file_format, topic, odometry, mounting, poses, deskew)
+    recording = opened(folder, file_format, topic, odometry, mounting, poses, deskew, limit)
     warn(recording)
     session = session_id or id_of(recording.name, "--session")
     target = Target(grpc, map_id, session, scene_scale, profile, storey, drift)
@@ -289,7 +295,7 @@ def _sent(client: Client, session: Session, recording: Recording, extent: Extent
         return session, sent
     if extent.finishes(recording):
         return client.finish_session(session), sent
-    left_out = len(recording) - extent.count(recording)
+    left_out = extent.left_out(recording)
     if left_out and extent.finish is None:
         advice = (
             f"{session.name} is not finished: --limit leaves {left_out} scans out, which the command sends without it"

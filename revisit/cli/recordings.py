@@ -67,8 +67,12 @@ def opened(
     mounting: str | None,
     poses: Path | None = None,
     deskew: bool = True,
+    limit: int | None = None,
 ) -> Recording:
-    """The recording; which topics of a bag were taken, and why, goes to stderr. Exits for an unusable option."""
+    """The recording; which topics of a bag were taken, and why, goes to stderr. Exits for an unusable option.
+
+    Poses that are made of the clouds are made of the first `limit`.
+    """
     signs.doing(f"reading {folder}")
     from revisit.evaluation.datasets import AUTO, FORMATS, KISS_ICP, WantedTopics, notes_of, open_recording
 
@@ -77,7 +81,7 @@ def opened(
     first, *together = [name.strip() for name in (topic or "").split(",")]
     wanted = WantedTopics(first or None, odometry, _transform(mounting), tuple(together), deskew)
     with progress_bar(quiet=odometry != KISS_ICP) as bar:
-        recording = open_recording(folder, file_format, wanted, poses, reporter(bar))
+        recording = open_recording(folder, file_format, wanted, poses, reporter(bar), limit)
     for note in notes_of(recording):
         typer.echo(f"{recording.name}: {note}", err=True)
     return recording

@@ -7,9 +7,10 @@ import sys
 import numpy as np
 import pytest
 
+from revisit.cli.ingest import Extent
 from revisit.core.errors import BadField
 from revisit.core.geometry import se3
-from revisit.evaluation.datasets import KISS_ICP, WantedTopics, notes_of, open_recording
+from revisit.evaluation.datasets import KISS_ICP, WantedTopics, notes_of, open_recording, unposed_of
 from revisit.evaluation.datasets.lidar_odometry import odometry_of
 from revisit.formats import npy
 from tests.support.bag_layouts import Layout
@@ -105,6 +106,28 @@ def test_a_bag_with_clouds_alone_is_read_with_the_poses_of_its_clouds(tmp_path):
     assert len(recording) == 8 and told[-1][1:] == (8, 8)
     said = " | ".join(notes_of(recording))
     assert "poses by KISS-ICP from 8 clouds" in said and "KISS-ICP has found out how lidar moved" in said
+
+
+def test_only_the_clouds_up_to_a_limit_are_read_and_the_rest_goes_on_with_the_same_poses(folder):
+    told = []
+    few = open_recording(folder, wanted=WANTED, report=lambda *progress: told.append(progress), limit=4)
+    assert (len(few), unposed_of(few), told[-1][1:]) == (4, COUNT - 4, (4, 4))
+    every = open_recording(folder, wanted=WANTED)
+    assert [few.pose(index).tolist() for index in range(4)] == [every.pose(index).tolist() for index in range(4)]
+    assert few.stamps_ns.tolist() == every.stamps_ns[:4].tolist()
+    # The session stays open: the rest of the recording is to come.
+    assert not Extent(limit=4).finishes(few) and Extent(limit=4).left_out(few) == COUNT - 4
+    assert Extent(limit=COUNT).finishes(open_recording(folder, wanted=WANTED, limit=COUNT))
+    assert Extent().finishes(every)
+
+
+def test_only_the_clouds_of_a_bag_up_to_a_limit_are_read(tmp_path):
+    pytest.importorskip("rosbags", reason="in the extra `dev`: writes the bag")
+    bag = Layout().raw("/points", "lidar").write2(tmp_path / "drive")
+    told = []
+    few = open_recording(bag, wanted=WANTED, report=lambda *progress: told.append(progress), limit=3)
+    assert (len(few), unposed_of(few), told[-1][1:]) == (3, 5, (3, 3))
+    assert few.stamps_ns.tolist() == open_recording(bag, wanted=WANTED).stamps_ns[:3].tolist()
 
 
 def test_poses_that_are_given_and_poses_that_are_made_exclude_each_other(folder):
