@@ -6,6 +6,7 @@ solver keeps. The numbers of a group are a dense panel, row after row, so that n
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
@@ -90,11 +91,46 @@ def factorised(structure: Structure, links: Array64, diagonal: Array64) -> Block
     return factor
 
 
+def path(structure: Structure, columns: Iterable[int]) -> Rows:
+    """The groups (p,) of some columns and of all that hang on these, in the order of elimination.
+
+    The half of a solution whose right side has numbers in these columns alone has numbers in these groups alone.
+    """
+    found: set[int] = set()
+    for column in columns:
+        group = int(structure.group_of[column])
+        while group not in found:
+            found.add(group)
+            if structure.begins[group] < structure.begins[group + 1]:
+                group = int(structure.group_of[structure.rows[structure.begins[group]]])
+    return np.array(sorted(found), dtype=np.int64)
+
+
+def columns_of(structure: Structure, groups: Rows) -> Rows:
+    """The columns (c,) of some groups, in their order."""
+    parts = [np.arange(structure.groups[group], structure.groups[group + 1]) for group in groups]
+    return np.concatenate(parts) if parts else np.zeros(0, dtype=np.int64)
+
+
+def halve(factor: BlockFactor, right: Array64, groups: Rows | None = None) -> None:
+    """Replace `right` (k, 6 n) by the first half of its solution, by the factor alone. `complete` is the other one.
+
+    Where only some `groups` have numbers the others are left alone.
+    """
+    _forwards(*factor, np.arange(len(factor.structure.across)) if groups is None else groups, right)
+
+
+def complete(factor: BlockFactor, half: Array64) -> None:
+    """Replace the half (k, 6 n) of a solution by the solution."""
+    _backwards(*factor, half)
+
+
 def solved(factor: BlockFactor, right: Array64) -> Array64:
     """The solution of the factorised system for `right` (n, 6, k): of the same shape."""
-    found = np.array(right, order="C")
-    _substitute(*factor, found)
-    return found
+    found = np.array(right.reshape(SIDE * len(right), -1).T, order="C")
+    halve(factor, found)
+    complete(factor, found)
+    return found.T.reshape(right.shape)
 
 
 def inverse_diagonal(factor: BlockFactor) -> Array64:
@@ -256,61 +292,63 @@ def _take_root(panel: Array64) -> bool:
 
 
 @sums
-def _substitute(structure: Structure, numbers: Array64, found: Array64) -> None:
-    """Solve for `found` (n, 6, k) in place: forwards by the factor, backwards by its transpose."""
+def _forwards(structure: Structure, numbers: Array64, chosen: Rows, found: Array64) -> None:
+    """Solve the rows of `found` (k, 6 n) in place by the factor, through the `chosen` groups (p,)."""
     groups, _, begins, rows, offsets, across, _, _, _ = structure
-    for g in range(len(across)):
+    for p in range(len(chosen)):
+        g = chosen[p]
         panel = numbers[offsets[g] : offsets[g + 1]].reshape(-1, across[g])
-        _forwards(panel, rows[begins[g] : begins[g + 1]], found, groups[g])
+        for b in range(len(found)):
+            own = found[b, SIDE * groups[g] : SIDE * groups[g] + across[g]]
+            _push(panel, rows[begins[g] : begins[g + 1]], own, found[b])
+
+
+@sums
+def _backwards(structure: Structure, numbers: Array64, found: Array64) -> None:
+    """The same by the transpose, through all groups, from the last to the first."""
+    groups, _, begins, rows, offsets, across, _, _, _ = structure
     for g in range(len(across) - 1, -1, -1):
         panel = numbers[offsets[g] : offsets[g + 1]].reshape(-1, across[g])
-        _backwards(panel, rows[begins[g] : begins[g + 1]], found, groups[g])
+        for b in range(len(found)):
+            own = found[b, SIDE * groups[g] : SIDE * groups[g] + across[g]]
+            _pull(panel, rows[begins[g] : begins[g + 1]], own, found[b])
 
 
 @inner_sums
-def _forwards(panel: Array64, rows: NDArray[np.int32], found: Array64, first: int) -> None:
-    """Solve for the blocks of `found` (n, 6, k) that belong to a panel, from the `first` on, one after the other: what
-    each of them does to later ones of the panel and to the `rows` below is taken off these.
+def _push(panel: Array64, rows: NDArray[np.int32], own: Array64, found: Array64) -> None:
+    """Solve for the numbers `own` of a panel among all that are `found` (6 n,), and take what they do to the `rows`
+    below off these.
     """
-    width = panel.shape[1] // SIDE
-    for j in range(width):
-        column = SIDE * j
+    for i in range(len(own)):
+        left = own[i]
+        for c in range(i):
+            left -= panel[i, c] * own[c]
+        own[i] = left / panel[i, i]
+    for i in range(len(rows)):
+        products = _products(panel, len(own) + SIDE * i, own, len(own))
         for a in range(SIDE):
-            for b in range(found.shape[2]):
-                left = found[first + j, a, b]
-                for c in range(a):
-                    left -= panel[column + a, column + c] * found[first + j, c, b]
-                found[first + j, a, b] = left / panel[column + a, column + a]
-        for i in range(j + 1, width + len(rows)):
-            row = first + i if i < width else rows[i - width]
-            for a in range(SIDE):
-                for b in range(found.shape[2]):
-                    left = found[row, a, b]
-                    for c in range(SIDE):
-                        left -= panel[SIDE * i + a, column + c] * found[first + j, c, b]
-                    found[row, a, b] = left
+            found[SIDE * rows[i] + a] -= products[a]
 
 
 @inner_sums
-def _backwards(panel: Array64, rows: NDArray[np.int32], found: Array64, first: int) -> None:
-    """The same by the transpose, from the last block to the first: the effect of later ones is taken off before."""
-    width = panel.shape[1] // SIDE
-    for j in range(width - 1, -1, -1):
-        column = SIDE * j
-        for i in range(j + 1, width + len(rows)):
-            row = first + i if i < width else rows[i - width]
-            for a in range(SIDE):
-                for b in range(found.shape[2]):
-                    left = found[first + j, a, b]
-                    for c in range(SIDE):
-                        left -= panel[SIDE * i + c, column + a] * found[row, c, b]
-                    found[first + j, a, b] = left
-        for a in range(SIDE - 1, -1, -1):
-            for b in range(found.shape[2]):
-                left = found[first + j, a, b]
-                for c in range(a + 1, SIDE):
-                    left -= panel[column + c, column + a] * found[first + j, c, b]
-                found[first + j, a, b] = left / panel[column + a, column + a]
+def _pull(panel: Array64, rows: NDArray[np.int32], own: Array64, found: Array64) -> None:
+    """The same by the transpose: the effect of the `rows` below is taken off before."""
+    for i in range(len(rows)):
+        row, at = len(own) + SIDE * i, SIDE * rows[i]
+        p, q, r, s, t, u = found[at], found[at + 1], found[at + 2], found[at + 3], found[at + 4], found[at + 5]
+        for c in range(len(own)):
+            own[c] -= (
+                p * panel[row, c]
+                + q * panel[row + 1, c]
+                + r * panel[row + 2, c]
+                + s * panel[row + 3, c]
+                + t * panel[row + 4, c]
+                + u * panel[row + 5, c]
+            )
+    for i in range(len(own) - 1, -1, -1):
+        own[i] /= panel[i, i]
+        for c in range(i):
+            own[c] -= panel[i, c] * own[i]
 
 
 @sums

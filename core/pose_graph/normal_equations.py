@@ -19,7 +19,19 @@ from numpy.typing import NDArray
 from scipy.sparse.linalg import splu
 
 from revisit.core.geometry import se3, se3_rows
-from revisit.core.kernels.block_cholesky import SIDE, BlockFactor, Structure, factorised, inverse_diagonal, solved
+from revisit.core.kernels.block_cholesky import (
+    SIDE,
+    BlockFactor,
+    Structure,
+    columns_of,
+    complete,
+    factorised,
+    halve,
+    inverse_diagonal,
+    path,
+    solved,
+)
+from revisit.core.kernels.pose_edges import edge_errors, edge_pulls
 from revisit.core.pose_graph.graph import LoopEdge, Node, Trajectory
 
 Array64 = NDArray[np.float64]
@@ -111,7 +123,11 @@ class Edges:
 
     def errors(self, poses: Array64) -> Array64:
         """The tangents (e, 6), in the frames of the second poses, by which the poses (n, 4, 4) miss the motions."""
-        return se3_rows.log(self.T_second_first @ (se3_rows.inverse(poses[self.first]) @ poses[self.second]))
+        errors, opposite = edge_errors(self.first, self.second, self.T_second_first, poses)
+        if opposite.any():
+            seen = se3_rows.inverse(poses[self.first[opposite]]) @ poses[self.second[opposite]]
+            errors[opposite] = se3_rows.log(self.T_second_first[opposite] @ seen)
+        return errors
 
     def squared_errors(self, poses: Array64) -> Array64:
         """Squared Mahalanobis distances (e,) of the motions from the poses."""
@@ -147,12 +163,7 @@ class Edges:
 
         To first order in the errors, as Gauss-Newton has it.
         """
-        T_second_map = se3_rows.inverse(poses[self.second])
-        errors = self.errors(poses)
-        weighted = np.einsum("eij,ej->ei", self.information, errors)
-        pulls = _transposed_adjoint(T_second_map, weighted)
-        gradient = summed(pulls, self.second, len(poses)) - summed(pulls, self.first, len(poses))
-        return float(np.einsum("ei,ei->", errors, weighted)), gradient
+        return edge_pulls(self.first, self.second, self.information, self.errors(poses), poses)
 
     def in_the_map(self, poses: Array64) -> Equations:
         """The normal equations at the poses (n, 4, 4), in tangents of the map, of edges without errors."""
@@ -219,9 +230,61 @@ class Factorisation:
         ordered[self.places] = right.reshape(ordered.shape)
         return np.asarray(solved(self.factor, ordered)[self.places].reshape(right.shape))
 
+    def half(self, right: Array64) -> Array64:
+        """The first half (6 n,) of the solution for `right` (n, 6), in the order of elimination."""
+        found = np.empty((len(self.places), SIDE))
+        found[self.places] = right
+        halve(self.factor, found.reshape(1, -1))
+        return found.ravel()
+
+    def half_at(self, blocks: Mapping[int, Array64]) -> Half:
+        """The first half of the solution for a right side with blocks (6, k) at some poses, by row, and no others."""
+        at = [int(self.places[row]) for row in blocks]
+        count = next(iter(blocks.values())).shape[1]
+        right = np.zeros((count, len(self.places), SIDE))
+        for place, block in zip(at, blocks.values(), strict=True):
+            right[:, place] = block.T
+        groups = path(self.factor.structure, at)
+        halve(self.factor, right.reshape(count, -1), groups)
+        places = columns_of(self.factor.structure, groups)
+        return Half(places, right[:, places].reshape(count, -1).T)
+
+    def whole(self, half: Array64) -> Array64:
+        """The solution (n, 6) of its first half (6 n,)."""
+        found = half[None].copy()
+        complete(self.factor, found)
+        return found.reshape(-1, SIDE)[self.places]
+
     def covariances(self) -> Array64:
         """The covariance (n, 6, 6) of the tangent of each pose; the factorisation is used up by it."""
         return np.asarray(inverse_diagonal(self.factor)[self.places])
+
+
+@dataclass(frozen=True)
+class Half:
+    """L^-1 J^T of a factor L and some rows J that few poses count in: what all others follow from.
+
+    places (p,): of the poses with numbers, as eliminated; numbers (6 p, k): those of each of the k rows.
+    """
+
+    places: Rows
+    numbers: Array64
+
+    def product(self, other: Half) -> Array64:
+        """J H^-1 J^T (k, m) of these rows with others, for H = L L^T."""
+        _, own, its = np.intersect1d(self.places, other.places, assume_unique=True, return_indices=True)
+        return np.asarray(self._at(own).T @ other._at(its))
+
+    def _at(self, which: Rows) -> Array64:
+        return self.numbers.reshape(len(self.places), -1)[which].reshape(SIDE * len(which), -1)
+
+    def times(self, half: Array64) -> Array64:
+        """J H^-1 g (k,) for the half L^-1 g (6 n,)."""
+        return np.asarray(half.reshape(-1, SIDE)[self.places].ravel() @ self.numbers)
+
+    def add_to(self, half: Array64, amounts: Array64) -> None:
+        """Add the half for J^T `amounts` (k,) to another one (6 n,)."""
+        half.reshape(-1, SIDE)[self.places] += (self.numbers @ amounts).reshape(-1, SIDE)
 
 
 def elimination_order(first: Rows, second: Rows, count: int) -> Rows:
@@ -241,6 +304,7 @@ def warm_up() -> None:
     """Solve two poses, for the compiler's sake alone."""
     poses = np.tile(np.eye(4), (2, 1, 1))
     edges = Edges.of_motions([(0, 1)], [np.eye(4)], [np.eye(SIDE)])
+    edges.cost_and_gradient(poses)
     for equations in (edges.linearised(poses, edges.errors(poses), np.ones(1)), edges.in_the_map(poses)):
         factorisation = equations.factorised(0)
         factorisation.solve(np.zeros(2 * SIDE))
@@ -251,13 +315,6 @@ def _information(covariances: Array64) -> Array64:
     """The inverses (e, 6, 6) of covariances, symmetric to the last digit."""
     found = np.linalg.inv(covariances)
     return np.asarray(0.5 * (found + found.transpose(0, 2, 1)))
-
-
-def _transposed_adjoint(transforms: Array64, vectors: Array64) -> Array64:
-    """Ad^T @ vectors (e, 6) of transforms (e, 4, 4)."""
-    turns, force = transforms[:, :3, :3], vectors[:, :3]
-    torque = vectors[:, 3:] - np.cross(transforms[:, :3, 3], force)
-    return np.concatenate([np.einsum("eji,ej->ei", turns, force), np.einsum("eji,ej->ei", turns, torque)], axis=1)
 
 
 def summed(values: Array64, rows: Rows, count: int) -> Array64:

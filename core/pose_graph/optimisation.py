@@ -486,10 +486,8 @@ def _distance(problem: Problem, poses: Array64, known: Factorisation, number: in
     edge = problem.edges.chosen(np.array([row]))
     first, second = int(edge.first[0]), int(edge.second[0])
     back = se3.adjoint(se3.inverse(poses[second]) @ poses[first])
-    moving = np.zeros((len(poses), 6, 6))  # the motion of the second pose, as seen from the first
-    moving[first], moving[second] = -back.T, np.eye(6)
-    moved = known.solve(moving.reshape(-1, 6)).reshape(moving.shape)
-    covariance = moved[second] - back @ moved[first] + np.linalg.inv(edge.information[0])
+    moving = known.half_at({first: -back.T, second: np.eye(6)})  # the motion of the second pose, as seen from the first
+    covariance = moving.product(moving) + np.linalg.inv(edge.information[0])
     error = edge.errors(poses)[0]
     return float(error @ np.linalg.solve(covariance, error))
 

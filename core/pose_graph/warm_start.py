@@ -1,10 +1,11 @@
 """One loop more: the poses of a solved component, moved by the loop, by one factorisation for many loops.
 
-The normal equations at the poses found before are factorised once. A loop adds six rows J to them, and by the identity
-of Woodbury (H + J^T J)^-1 follows from H^-1 J^T: six solutions instead of a new factorisation. Submaps that came later
-hang on the last one of their session by steps with covariances Q; in the coordinates of what these steps err by, the
-equations have Q^-1 on their diagonal and nothing else. Steps after the first one ask the true errors again (the chord
-method), so that the end is that of Gauss and Newton.
+The normal equations at the poses found before are factorised once, H = L L^T. A loop adds six rows J to them, and by
+the identity of Woodbury (H + J^T J)^-1 follows from L^-1 J^T, which has numbers at few poses: those that come to depend
+on the ends of the loop. What loops do to each other needs no more; what they do to all poses is one solution for all of
+them together. Submaps that came later hang on the last one of their session by steps with covariances Q; in the
+coordinates of what these steps err by, the equations have Q^-1 on their diagonal and nothing else. Steps after the
+first one ask the true errors again (the chord method), so that the end is that of Gauss and Newton.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from revisit.core.geometry import se3, se3_rows
 from revisit.core.pose_graph.broken_steps import BROKEN, LOOSER
 from revisit.core.pose_graph.faults import composed, steps_of
 from revisit.core.pose_graph.graph import GraphState, LoopEdge, Node, PoseGraph, Trajectory
-from revisit.core.pose_graph.normal_equations import Edges
+from revisit.core.pose_graph.normal_equations import Edges, Half
 from revisit.core.pose_graph.optimisation import GATE, WIDE_GATE
 
 Array64 = NDArray[np.float64]
@@ -30,7 +31,7 @@ SETTLED_M = 0.1
 MAX_STEPS = 5
 
 MOST_HELD = 8
-"""Loops that one factorisation carries: each adds six columns of all poses to the memory."""
+"""Loops that one factorisation carries: the farther poses have moved since, the more steps a loop takes."""
 
 MOST_LATER = 32
 """Submaps that one factorisation carries: their poses are composed step by step."""
@@ -49,13 +50,21 @@ class _Step:
 class _Taken:
     """A loop, whitened, as the factorisation knows it.
 
-    rows: by the number of an unknown its effect on the loop (6, 6); moves (6 u, 6), the effect of each row of the loop.
+    half: of its rows J for the poses that are factorised; later: its effect (6, 6) by the number of each later step.
     """
 
     loop: LoopEdge
     whitening: Array64
-    rows: dict[int, Array64]
-    moves: Array64
+    half: Half
+    later: dict[int, Array64]
+
+
+@dataclass(frozen=True)
+class _Pull:
+    """A right side, half solved: half (6 n,) for the poses that are factorised, later (t, 6) for the steps after."""
+
+    half: Array64
+    later: Array64
 
 
 @dataclass(frozen=True)
@@ -118,13 +127,13 @@ class SolvedComponent:
         if len(self._taken) >= MOST_HELD or len(self._steps) > MOST_LATER:
             self.refresh()
         taken = [*self._taken, self._linearised(loop)]
-        inner = _inner(taken)
+        inner = self._extended_inner(taken)
         if self._expected_growth(taken, inner) > WIDE_GATE:
             return GraphState.SET_ASIDE
         state, cost = self._settled(taken, np.asarray(np.linalg.inv(inner)))
         if not cost - self._cost <= GATE:
             return GraphState.SET_ASIDE
-        self._taken, self._state, self._cost = taken, state, cost
+        self._taken, self._inner, self._state, self._cost = taken, inner, state, cost
         return GraphState.IN_MAP
 
     def T_map_submap(self, node: Node) -> se3.Matrix4:
@@ -164,35 +173,40 @@ class SolvedComponent:
         del self._factors  # the next ones take as much room
         self._start(np.concatenate([self._state.poses, later]))
         gradient = self._edges.cost_and_gradient(self._state.poses)[1]
-        self._state, _ = self._moved(self._state, -self._factors.solve(gradient.ravel()))
+        self._state, _ = self._moved(self._state, -self._factors.solve(gradient))
         self._cost = self._edges.cost_and_gradient(self._state.poses)[0]
 
     def _start(self, poses: Array64) -> None:
         self._state = _State(poses, np.zeros((0, 6)))
         self._tail: dict[Node, int] = {}
         self._steps: list[_Step] = []
-        self._taken = []
+        self._taken, self._inner = [], np.zeros((0, 0))
         self._factors = self._edges.in_the_map(poses).factorised(self._anchor)
         self._cost = self._edges.cost_and_gradient(poses)[0]
 
     def _linearised(self, loop: LoopEdge) -> _Taken:
         information = np.linalg.inv(loop.covariance_in_query / loop.independent_share)
         whitening = np.linalg.cholesky(information).T
-        rows = self._loop_rows(loop, whitening, self._state)
-        right = np.zeros((6 * self._unknowns, 6))
-        for number, block in rows.items():
-            right[6 * number : 6 * number + 6] = block.T
-        return _Taken(loop, whitening, rows, self._solved(right))
+        rows, known = self._loop_rows(loop, whitening, self._state), len(self._state.poses)
+        half = self._factors.half_at({number: block.T for number, block in rows.items() if number < known})
+        later = {number - known: block for number, block in rows.items() if number >= known}
+        return _Taken(loop, whitening, half, later)
 
-    @property
-    def _unknowns(self) -> int:
-        return len(self._state.poses) + len(self._steps)
+    def _extended_inner(self, taken: list[_Taken]) -> Array64:
+        """I + J H^-1 J^T (6 l, 6 l) of some loops, all but the last of which are in the map."""
+        across = np.hstack([self._product(taken[-1], one) for one in taken])
+        inner = np.eye(6 * len(taken))
+        inner[:-6, :-6] = self._inner
+        inner[-6:] += across
+        inner[:-6, -6:] = across[:, :-6].T
+        return inner
 
-    def _solved(self, right: Array64) -> Array64:
-        """The motion by `right` (6 u, k) without the taken loops."""
-        known = 6 * len(self._state.poses)
-        of_steps = [step.covariance @ right[known + 6 * n : known + 6 * n + 6] for n, step in enumerate(self._steps)]
-        return np.concatenate([self._factors.solve(right[:known]), *of_steps])
+    def _product(self, one: _Taken, other: _Taken) -> Array64:
+        """The effect (6, 6) of the pull of one loop on another."""
+        product = one.half.product(other.half)
+        for number in one.later.keys() & other.later.keys():
+            product += one.later[number] @ self._steps[number].covariance @ other.later[number].T
+        return product
 
     def _expected_growth(self, taken: list[_Taken], inner: Array64) -> float:
         """The squared distance of the last loop from poses with their covariance, to first order."""
@@ -204,35 +218,47 @@ class SolvedComponent:
     def _settled(self, taken: list[_Taken], inverted: Array64) -> tuple[_State, float]:
         """The poses with all `taken` loops, and their cost."""
         state, cost = self._state, np.inf
-        free = taken[-1].moves @ self._error(taken[-1], state)
+        pull = _Pull(np.zeros(6 * len(state.poses)), np.zeros_like(state.slips))
+        _add(taken[-1], pull, self._error(taken[-1], state))
         for _ in range(MAX_STEPS):
-            step = _held_back(free, taken, inverted)
-            state, moved_m = self._moved(state, -step)
+            state, moved_m = self._moved(state, -self._step(pull, taken, inverted))
             cost, gradient = self._cost_and_gradient(taken, state)
             if moved_m < SETTLED_M:
                 break
-            free = self._solved(gradient[:, None])[:, 0]
+            known = len(state.poses)
+            pull = _Pull(self._factors.half(gradient[:known]), gradient[known:])
         return state, cost
 
+    def _step(self, pull: _Pull, taken: list[_Taken], inverted: Array64) -> Array64:
+        """The step (u, 6) by a pull, which is used up, with all `taken` loops (Woodbury)."""
+        covariances = np.reshape([step.covariance for step in self._steps], (-1, 6, 6))
+        back = inverted @ np.concatenate([
+            one.half.times(pull.half) + sum(block @ covariances[n] @ pull.later[n] for n, block in one.later.items())
+            for one in taken
+        ])  # fmt: skip
+        for one, amounts in zip(taken, back.reshape(-1, 6), strict=True):
+            _add(one, pull, -amounts)
+        later = np.einsum("tij,tj->ti", covariances, pull.later)
+        return np.concatenate([self._factors.whole(pull.half), later])
+
     def _moved(self, state: _State, step: Array64) -> tuple[_State, float]:
-        """The state after a step (6 u,), and how far the farthest submap moves, metres."""
-        moves = step.reshape(-1, 6)
+        """The state after a step (u, 6), and how far the farthest submap moves, metres."""
         known = len(state.poses)
-        poses = se3_rows.exp(moves[:known]) @ state.poses
+        poses = se3_rows.exp(step[:known]) @ state.poses
         moved = np.abs(poses[:, :3, 3] - state.poses[:, :3, 3]).max()
-        return _State(poses, state.slips + moves[known:]), float(moved)
+        return _State(poses, state.slips + step[known:]), float(moved)
 
     def _cost_and_gradient(self, taken: list[_Taken], state: _State) -> tuple[float, Array64]:
-        """Squared errors of everything, and half their gradient (6 u,)."""
+        """Squared errors of everything, and half their gradient (u, 6)."""
         cost, of_poses = self._edges.cost_and_gradient(state.poses)
         weighed = [np.linalg.solve(step.covariance, slip) for step, slip in zip(self._steps, state.slips, strict=True)]
         cost += sum(float(slip @ weight) for slip, weight in zip(state.slips, weighed, strict=True))
-        gradient = np.concatenate([of_poses.ravel(), *weighed])
+        gradient = np.concatenate([of_poses, np.reshape(weighed, (-1, 6))])
         for one in taken:
             error = self._error(one, state)
             cost += float(error @ error)
             for number, block in self._loop_rows(one.loop, one.whitening, state).items():
-                gradient[6 * number : 6 * number + 6] += block.T @ error
+                gradient[number] += block.T @ error
         return cost, gradient
 
     def _error(self, one: _Taken, state: _State) -> Array64:
@@ -286,23 +312,8 @@ def _as_mended(track: Trajectory, poses: Array64) -> Trajectory:
     return replace(track, T_odom_submap=composed(track.T_odom_submap[0], motions), step_covariances=covariances)
 
 
-def _inner(taken: list[_Taken]) -> Array64:
-    """I + J H^-1 J^T (6 l, 6 l) of some loops."""
-    products = np.block([[_product(one, other) for other in taken] for one in taken])
-    return np.asarray(np.eye(6 * len(taken)) + products, dtype=np.float64)
-
-
-def _product(one: _Taken, other: _Taken) -> Array64:
-    """The effect of the moves of a loop on another one (6, 6); later unknowns than a loop's own it does not move."""
-    parts = [block @ other.moves[6 * n : 6 * n + 6] for n, block in one.rows.items() if 6 * n < len(other.moves)]
-    return np.asarray(sum(parts, np.zeros((6, 6))))
-
-
-def _held_back(free: Array64, taken: list[_Taken], inverted: Array64) -> Array64:
-    """The step (6 u,) with all loops, of one without any (Woodbury)."""
-    pulls = [sum((block @ free[6 * n : 6 * n + 6] for n, block in one.rows.items()), np.zeros(6)) for one in taken]
-    back = (inverted @ np.concatenate(pulls)).reshape(-1, 6)
-    step = free.copy()
-    for one, amount in zip(taken, back, strict=True):
-        step[: len(one.moves)] -= one.moves @ amount
-    return step
+def _add(one: _Taken, pull: _Pull, amounts: Array64) -> None:
+    """Add the pull J^T `amounts` (6,) of a loop."""
+    one.half.add_to(pull.half, amounts)
+    for number, block in one.later.items():
+        pull.later[number] += block.T @ amounts

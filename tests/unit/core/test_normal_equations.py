@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from revisit.core.geometry import se3, se3_rows
-from revisit.core.kernels import block_cholesky
+from revisit.core.kernels import block_cholesky, pose_edges
 from revisit.core.pose_graph import normal_equations
 from revisit.core.pose_graph.least_squares import minimise, settled
 from revisit.core.pose_graph.normal_equations import Edges, Equations, elimination_order, warm_up
@@ -100,6 +100,50 @@ def test_a_factorisation_solves_as_the_dense_matrix_does(seed: int, loops: int, 
     np.testing.assert_allclose(factorisation.covariances(), blocks, rtol=1e-5, atol=1e-7)
 
 
+@pytest.mark.parametrize(("seed", "loops", "parts"), [(1, 0, 1), (3, 40, 1), (4, 300, 1), (5, 30, 3)])
+def test_halves_of_solutions_are_parts_of_whole_ones(seed: int, loops: int, parts: int) -> None:
+    edges, poses = made(seed, loops, parts)
+    factorisation = edges.in_the_map(poses).factorised(7)
+    rng = np.random.default_rng(seed)
+    rows, others = ({int(n): rng.normal(size=(6, 6)) for n in rng.choice(POSES, 2, False)} for _ in range(2))
+    right, of_others = np.zeros((2, POSES, 6, 6))
+    for blocks, filled in ((rows, right), (others, of_others)):
+        for row, block in blocks.items():
+            filled[row] = block
+    moved, pull = factorisation.solve(right.reshape(-1, 6)), rng.normal(size=(POSES, 6))
+    one, other = factorisation.half_at(rows), factorisation.half_at(others)
+    close = {"rtol": 1e-9, "atol": 1e-9 * float(np.abs(moved).max())}
+    np.testing.assert_allclose(one.product(other), moved.T @ of_others.reshape(-1, 6), **close)
+    half = factorisation.half(pull)
+    np.testing.assert_allclose(one.times(half), moved.T @ pull.ravel(), **close)
+    one.add_to(half, np.arange(6.0))
+    expected = factorisation.solve(pull) + (moved @ np.arange(6.0)).reshape(-1, 6)
+    np.testing.assert_allclose(factorisation.whole(half), expected, **close)
+
+
+def test_a_half_of_two_poses_has_numbers_only_where_these_are_counted_on() -> None:
+    edges, poses = made(1, 0)
+    half = edges.in_the_map(poses).factorised(7).half_at({20: np.eye(6), 21: np.eye(6)})
+    assert 2 <= len(half.places) < POSES and len(half.numbers) == 6 * len(half.places)
+
+
+def test_errors_and_pulls_are_those_of_the_plain_formulas() -> None:
+    edges, poses = made(2, 300)
+    turned = np.random.default_rng(0).choice(POSES, 20, False)
+    poses[turned] = poses[turned] @ se3.exp([0.0, 0.0, 0.0, 0.6 * np.pi, 0.0, 0.8 * np.pi])  # nearly half round
+    missed = edges.T_second_first @ (se3_rows.inverse(poses[edges.first]) @ poses[edges.second])
+    errors = edges.errors(poses)
+    np.testing.assert_allclose(errors, se3_rows.log(missed), rtol=1e-9, atol=1e-9)
+    weighted = np.einsum("eij,ej->ei", edges.information, errors)
+    back = se3_rows.adjoint(se3_rows.inverse(poses[edges.second]))
+    pulls, gradient = np.einsum("eji,ej->ei", back, weighted), np.zeros((POSES, 6))
+    np.add.at(gradient, edges.second, pulls)
+    np.add.at(gradient, edges.first, -pulls)
+    cost, found = edges.cost_and_gradient(poses)
+    assert cost == pytest.approx(edges.squared(errors).sum(), rel=1e-12)
+    np.testing.assert_allclose(found, gradient, rtol=1e-9, atol=1e-9 * float(np.abs(gradient).max()))
+
+
 @pytest.mark.parametrize(("seed", "loops"), [(1, 0), (3, 40)])
 def test_the_covariance_of_each_pose_is_that_of_gtsam(seed: int, loops: int) -> None:
     edges, poses = made(seed, loops)
@@ -160,11 +204,15 @@ def test_an_order_of_elimination_is_found_once(monkeypatch: pytest.MonkeyPatch) 
 
 def test_after_the_warmup_nothing_is_compiled() -> None:
     warm_up()
-    kernels = [one for one in vars(block_cholesky).values() if isinstance(one, numba.core.dispatcher.Dispatcher)]
+    compiled_code = [*vars(block_cholesky).values(), *vars(pose_edges).values()]
+    kernels = [one for one in compiled_code if isinstance(one, numba.core.dispatcher.Dispatcher)]
     compiled = [len(kernel.signatures) for kernel in kernels]
     edges, poses = made(3, 40)
+    edges.cost_and_gradient(poses)
     for equations in (edges.linearised(poses, edges.errors(poses), np.ones(len(edges))), edges.in_the_map(poses)):
         factorisation = equations.factorised(3)
         factorisation.solve(np.ones((6 * POSES, 6)))
+        factorisation.whole(factorisation.half(np.ones((POSES, 6))))
+        factorisation.half_at({4: np.ones((6, 6))})
         factorisation.covariances()
     assert [len(kernel.signatures) for kernel in kernels] == compiled and sum(compiled) > 3
