@@ -1,8 +1,9 @@
 """The scans of a drive that are described: those at marks of travelled distance, and those that look elsewhere.
 
-A mark is a multiple of a spacing, counted from the beginning of the session in metres travelled by *all* poses. Of the
-scans nearest to a mark the first is chosen, so that none has to wait for the next. The rule looks at nothing but the
-scans that it has chosen before: a stream that leaves out the others gives the same scans as one that has them all,
+A mark is a multiple of a spacing, counted from the beginning of the session in metres travelled by *all* poses. The way
+is counted in steps of at least a hundredth of a submap: a robot that stands travels nowhere, though its poses tremble.
+Of the scans nearest to a mark the first is chosen, so that none has to wait for the next. The rule looks at nothing but
+the scans that it has chosen before: a stream that leaves out the others gives the same scans as one that has them all,
 wherever the choice is made.
 """
 
@@ -18,8 +19,22 @@ from numpy.typing import NDArray
 from revisit.core.config import SubmapConfig
 from revisit.core.geometry.se3 import Matrix4
 
+STEPS_PER_TAU = 100
+"""A submap is at least so many steps of the way long; a pose nearer to the last step than that is no new one."""
+
+ROUNDED_M = 1e-6
+"""A step that is shorter by less is no shorter: robots drive ten centimetres a scan, in numbers that round."""
+
 MOST_PER_TAU = 640
 """Marks in tau metres at most: a scan of so few returns that more were needed is no scan of a place."""
+
+
+@dataclass(frozen=True)
+class Way:
+    """How far a session had travelled, metres, and the pose (4, 4) up to which that is counted."""
+
+    travelled_m: float
+    T_odom_sensor: Matrix4
 
 
 @dataclass(frozen=True)
@@ -38,19 +53,28 @@ class ScanMarks:
 
     In `tau_m` metres there are `least_per_tau` marks, twice as many, four times as many...: the fewest at which
     scans such as the one that is asked about have `enough_returns` together. Of scans at one mark each looks
-    `turn_rad` radians or more beside all the others.
+    `turn_rad` radians or more beside all the others. A pose nearer than `least_step_m` to the way's end adds nothing.
     """
 
     tau_m: float
     least_per_tau: int
     enough_returns: int
     turn_rad: float
+    least_step_m: float = 0.0
 
     @classmethod
     def of(cls, config: SubmapConfig) -> ScanMarks:
         """The marks of a map."""
         turn_rad = math.radians(config.turn_between_scans)
-        return cls(config.tau, config.least_scans_per_tau, config.enough_returns, turn_rad)
+        least_step_m = config.tau / STEPS_PER_TAU
+        return cls(config.tau, config.least_scans_per_tau, config.enough_returns, turn_rad, least_step_m)
+
+    def way_to(self, T_odom_sensor: Matrix4, way: Way | None) -> Way:
+        """The way with one pose more; it begins where there is none."""
+        if way is None:
+            return Way(0.0, T_odom_sensor)
+        step_m = float(np.linalg.norm(T_odom_sensor[:3, 3] - way.T_odom_sensor[:3, 3]))
+        return way if step_m < self.least_step_m - ROUNDED_M else Way(way.travelled_m + step_m, T_odom_sensor)
 
     def spacing_m(self, returns: int) -> float:
         """Metres between two marks of scans with so many returns."""
@@ -80,9 +104,12 @@ class ScanMarks:
         return math.floor(travelled_m / self.spacing_m(returns) + 0.5)
 
 
-def step_m(T_odom_before: Matrix4, T_odom_sensor: Matrix4) -> float:
-    """Metres from one pose to the next."""
-    return float(np.linalg.norm(T_odom_sensor[:3, 3] - T_odom_before[:3, 3]))
+def way_along(poses: Iterable[Matrix4], marks: ScanMarks) -> Way | None:
+    """The way over the poses (4, 4) of a drive, in time order; None where there are none."""
+    way = None
+    for T_odom_sensor in poses:
+        way = marks.way_to(T_odom_sensor, way)
+    return way
 
 
 def marked_rows(poses: Iterable[tuple[Matrix4, int]], marks: ScanMarks) -> list[int]:
@@ -90,11 +117,10 @@ def marked_rows(poses: Iterable[tuple[Matrix4, int]], marks: ScanMarks) -> list[
 
     `poses` are T_odom_sensor and the number of returns of each, in time order.
     """
-    rows, last, before, travelled_m = list[int](), None, None, 0.0
+    rows, last, way = list[int](), None, None
     for row, (T_odom_sensor, returns) in enumerate(poses):
-        travelled_m += 0.0 if before is None else step_m(before, T_odom_sensor)
-        before = T_odom_sensor
-        chosen = marks.choose(last, travelled_m, T_odom_sensor, returns)
+        way = marks.way_to(T_odom_sensor, way)
+        chosen = marks.choose(last, way.travelled_m, T_odom_sensor, returns)
         if chosen is not None:
             rows.append(row)
             last = chosen

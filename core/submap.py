@@ -15,7 +15,7 @@ from revisit.core.errors import BadField, EmptyCloud
 from revisit.core.geometry import se3
 from revisit.core.geometry.level_frame import LevelFrame
 from revisit.core.scan import MIN_POINTS, Points, Scan
-from revisit.core.scan_marks import ChosenScan, ScanMarks, marked_rows, step_m
+from revisit.core.scan_marks import ChosenScan, ScanMarks, Way, marked_rows
 
 
 @dataclass(frozen=True)
@@ -186,26 +186,24 @@ class SubmapBuilder:
         self._marks = ScanMarks.of(config)
         self._chosen: ChosenScan | None = None
         self._window: deque[tuple[float, Scan]] = deque()
-        self._T_odom_before: se3.Matrix4 | None = None
-        self._travelled_m = 0.0
+        self._way: Way | None = None
         self._window_start_m = 0.0
         self._emitted_to_m: float | None = None
 
     def add(self, scan: Scan) -> list[Scan] | None:
         """The scans of a finished submap, when `scan` completes its window, else None."""
-        if self._T_odom_before is not None:
-            self._travelled_m += step_m(self._T_odom_before, scan.T_odom_sensor)
-        self._T_odom_before = scan.T_odom_sensor
-        chosen = self._marks.choose(self._chosen, self._travelled_m, scan.T_odom_sensor, len(scan.points))
+        self._way = self._marks.way_to(scan.T_odom_sensor, self._way)
+        travelled_m = self._way.travelled_m
+        chosen = self._marks.choose(self._chosen, travelled_m, scan.T_odom_sensor, len(scan.points))
         if chosen is None:
             return None
         self._chosen = chosen
-        self._window.append((self._travelled_m, scan))
-        if self._travelled_m - self._window_start_m < self._config.tau:
+        self._window.append((travelled_m, scan))
+        if travelled_m - self._window_start_m < self._config.tau:
             return None
         finished = [item for _, item in self._window]
-        self._emitted_to_m = self._travelled_m
-        self._window_start_m = next_window_start(self._window_start_m, self._travelled_m, self._config)
+        self._emitted_to_m = travelled_m
+        self._window_start_m = next_window_start(self._window_start_m, travelled_m, self._config)
         while len(self._window) > 1 and self._window[0][0] < self._window_start_m:
             self._window.popleft()
         return finished

@@ -12,6 +12,7 @@ from revisit.core.errors import EmptyCloud
 from revisit.core.geometry import se3
 from revisit.core.geometry.se3 import Matrix4
 from revisit.core.scan import MIN_POINTS, Points
+from revisit.core.scan_marks import ScanMarks, Way
 from revisit.core.submap import Submap
 
 _LEAST_SPACING_M = 0.05
@@ -64,8 +65,12 @@ class ViewWindow:
     def __init__(self, config: SubmapConfig) -> None:
         self._config = config
         self._kept: list[_Kept] = []
-        self.travelled_m = 0.0
+        self._way: Way | None = None
+
+    @property
+    def travelled_m(self) -> float:
         """The way since the first scan."""
+        return 0.0 if self._way is None else self._way.travelled_m
 
     def add(self, points: NDArray[np.floating], T_odom_sensor: Matrix4) -> ViewCloud:
         """The view with one more scan (n, 3), metres in its sensor frame. Raises EmptyCloud."""
@@ -75,8 +80,7 @@ class ViewWindow:
                 f"only {len(near)} of {len(points)} points lie within the sensor's range: are they in metres?",
                 field="points",
             )
-        if self._kept:
-            self.travelled_m += float(np.linalg.norm(T_odom_sensor[:3, 3] - self._kept[-1].T_odom_sensor[:3, 3]))
+        self._way = ScanMarks.of(self._config).way_to(T_odom_sensor, self._way)
         self._settle()
         self._kept.append(_Kept(_thinned(near, self._config.enough_returns), T_odom_sensor, self.travelled_m))
         while self._kept[0].travelled_m < self.travelled_m - self._config.tau:

@@ -39,8 +39,10 @@ struct Choice {
   bool takes(const Scan& scan, const rv::ScanMarks& marks) {
     double step = 0;
     for (int i = 0; begun && i < 3; ++i) step += std::pow(scan.position[i] - before[i], 2);
-    travelled_m += std::sqrt(step);
-    std::copy(scan.position, scan.position + 3, before);
+    if (!begun || std::sqrt(step) >= marks.least_step_m()) {  // a robot that stands trembles
+      travelled_m += std::sqrt(step);
+      std::copy(scan.position, scan.position + 3, before);
+    }
     begun = true;
     double per_tau = marks.least_per_tau();
     while (per_tau * (scan.xyz.size() / 3) < marks.enough_returns() && per_tau < 640) per_tau *= 2;

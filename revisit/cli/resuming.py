@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 from revisit.core.config import SubmapConfig
 from revisit.core.errors import RevisitError
 from revisit.core.geometry import se3
-from revisit.core.scan_marks import ScanMarks, marked_rows
+from revisit.core.scan_marks import ScanMarks, marked_rows, way_along
 from revisit.evaluation.datasets import name_of_scan
 from revisit.formats import NPY, decode_cloud
 from revisit.sdk.errors import AlreadyExists, ApiError, ErrorDetails, FailedPrecondition
@@ -75,11 +75,12 @@ def _last_held(client: Client, session: Session, recording: Recording) -> int:
 
 def require_stored(client: Client, session: Session, recording: Recording, count: int) -> None:
     """Raises FailedPrecondition unless a finished session holds all of the first `count` scans that can be read."""
-    last = _last_stored(client, session, recording)
+    marks = _marks_of(client, session)
+    last = _last_stored(client, session, recording, marks)
     if last is None:
         lacking = f"it does not hold this recording ({recording.name}), or not as it is read now"
     else:
-        lacking = _lacking(session, recording, last, count, _marks_of(client, session))
+        lacking = _lacking(session, recording, last, count, marks)
     if not lacking:
         return
     message = (
@@ -105,7 +106,7 @@ def _at_last_stamp(session: Session, recording: Recording) -> list[int]:
     return [int(index) for index in at_stamp if index >= session.committed_seq - 1]
 
 
-def _last_stored(client: Client, session: Session, recording: Recording) -> int | None:
+def _last_stored(client: Client, session: Session, recording: Recording, marks: ScanMarks) -> int | None:
     """The scan that a finished session ends with, -1 where it is empty; None where it is of another recording."""
     if session.committed_stamp_ns is None:
         return -1
@@ -113,7 +114,7 @@ def _last_stored(client: Client, session: Session, recording: Recording) -> int 
     if not all(has_place(recording, submap) for submap in cut):
         return None
     for last in _at_last_stamp(session, recording):
-        if _is_as_long(session, recording, last) and _has_its_points(client, cut, recording, last):
+        if _is_as_long(session, recording, last, marks) and _has_its_points(client, cut, recording, last):
             return last
     return None
 
@@ -124,10 +125,10 @@ def has_place(recording: Recording, submap: Submap) -> bool:
     return any(np.abs(recording.pose(int(index)) - submap.T_odom_submap).max() < SAME_POSE for index in at_stamp)
 
 
-def _is_as_long(session: Session, recording: Recording, last: int) -> bool:
+def _is_as_long(session: Session, recording: Recording, last: int, marks: ScanMarks) -> bool:
     """Whether the path up to the scan `last` is the session's; at most as long where scans were left out."""
-    path = np.array([recording.pose(index)[:3, 3] for index in range(last + 1)])
-    length_m = float(np.linalg.norm(np.diff(path, axis=0), axis=1).sum())
+    way = way_along((recording.pose(index) for index in range(last + 1)), marks)
+    length_m = 0.0 if way is None else way.travelled_m
     tolerance_m = SAME_POSE + SAME_LENGTH_SHARE * length_m
     shorter_m = length_m - session.travelled_m
     return shorter_m > -tolerance_m if last >= session.committed_seq else abs(shorter_m) < tolerance_m

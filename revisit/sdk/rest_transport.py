@@ -15,7 +15,7 @@ from google.protobuf.json_format import ParseDict, ParseError
 from google.protobuf.message import Message
 
 from revisit.api.calls import CALLS
-from revisit.core.scan_marks import ScanMarks
+from revisit.core.scan_marks import ScanMarks, Way
 from revisit.sdk.clouds import Cloud
 from revisit.sdk.credentials import Credentials
 from revisit.sdk.errors import ApiError, ErrorDetails, FailedPrecondition, error_of, unreachable
@@ -25,7 +25,6 @@ from revisit.sdk.json_answers import message_of
 from revisit.sdk.messages import cloud_message
 from revisit.sdk.reading import Json
 from revisit.sdk.retry import RetryPolicy
-from revisit.sdk.scan_choice import Way
 from revisit.sdk.transport import SILENT_S, Forgetful, Refusal, StreamJournal, listed
 from revisit.v1 import event_pb2, geometry_pb2, ingest_pb2, loop_closure_pb2, map_pb2, mapping_pb2, session_pb2
 

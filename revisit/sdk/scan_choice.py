@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Any, Literal, TypeAlias
 
 from revisit.core.geometry import se3
-from revisit.core.scan_marks import ChosenScan, ScanMarks, step_m
+from revisit.core.scan_marks import ChosenScan, ScanMarks, Way
 from revisit.sdk.clouds import PointsLike, count_returns
 from revisit.sdk.reading import Json
 from revisit.v1 import ingest_pb2
@@ -17,19 +17,11 @@ from revisit.v1 import ingest_pb2
 Send: TypeAlias = Literal["described", "all"]
 """The scans of a stream that are sent: those that descriptions are made of, or all."""
 
-UNMET = ScanMarks(tau_m=3.0, least_per_tau=10, enough_returns=300_000, turn_rad=math.radians(10.0))
+UNMET = ScanMarks(tau_m=3.0, least_per_tau=10, enough_returns=300_000, turn_rad=math.radians(10.0), least_step_m=0.02)
 """The marks of a spool before its service was met: nearer than those of any usual map, which are not known yet."""
 
 LIFE_S = 5.0
 """After so long without a scan a stream sends its pose, as a sign of life."""
-
-
-@dataclass(frozen=True)
-class Way:
-    """How far a session had travelled, metres, at `T_odom_sensor` (4, 4)."""
-
-    travelled_m: float
-    T_odom_sensor: se3.Matrix4
 
 
 @dataclass(frozen=True)
@@ -58,13 +50,10 @@ class ScanChoice:
     def look(self, pose: Json, points: PointsLike, marks: ScanMarks | None) -> OfferedScan:
         """The next scan of the robot. Where the `marks` of the service are not known, it is sent."""
         T_odom_sensor = pose_matrix(pose)
-        travelled_m = 0.0
-        if self._way is not None:
-            travelled_m = self._way.travelled_m + step_m(self._way.T_odom_sensor, T_odom_sensor)
-        self._way = Way(travelled_m, T_odom_sensor)
+        self._way = (marks or UNMET).way_to(T_odom_sensor, self._way)
         if marks is None:
-            return OfferedScan(self._way, ChosenScan(travelled_m, (T_odom_sensor[:3, :3],)))
-        chosen = marks.choose(self._last, travelled_m, T_odom_sensor, count_returns(points))
+            return OfferedScan(self._way, ChosenScan(self._way.travelled_m, (T_odom_sensor[:3, :3],)))
+        chosen = marks.choose(self._last, self._way.travelled_m, T_odom_sensor, count_returns(points))
         if chosen is None and self._everything:
             return OfferedScan(self._way, self._last)
         return OfferedScan(self._way, chosen)
@@ -103,4 +92,4 @@ def marks_of(opened: ingest_pb2.Opened) -> ScanMarks | None:
     if not opened.HasField("marks"):
         return None
     told: Any = opened.marks
-    return ScanMarks(told.tau_m, told.least_per_tau, told.enough_returns, told.turn_rad)
+    return ScanMarks(told.tau_m, told.least_per_tau, told.enough_returns, told.turn_rad, told.least_step_m)

@@ -20,13 +20,13 @@ import grpc
 from google.protobuf.json_format import ParseDict
 
 from revisit.core.errors import RevisitError
-from revisit.core.scan_marks import ScanMarks
+from revisit.core.scan_marks import ScanMarks, Way
 from revisit.sdk.clouds import Cloud
 from revisit.sdk.errors import ApiError, ErrorDetails, Unavailable, closed, error_of, unreachable
 from revisit.sdk.grpc_answers import Answers, LostCall
 from revisit.sdk.reading import Json
 from revisit.sdk.retry import RetryPolicy
-from revisit.sdk.scan_choice import Way, marks_of, way_of
+from revisit.sdk.scan_choice import marks_of, way_of
 from revisit.sdk.transport import Forgetful, Refusal, StreamJournal
 from revisit.v1 import cloud_pb2, ingest_pb2
 
@@ -179,6 +179,9 @@ class GrpcScanSink:
                     failures, last_good = 0, time.monotonic()
             except RevisitError as failure:
                 self._fail(failure)
+                return
+            except ValueError:  # gRPC's word for a channel that was closed under the call
+                self._fail(closed())
                 return
             except (grpc.RpcError, LostCall) as rpc_error:
                 error = self._api_error(rpc_error)

@@ -19,10 +19,10 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from revisit.core.errors import ErrorCode, RevisitError
-from revisit.core.scan_marks import ScanMarks
+from revisit.core.scan_marks import ScanMarks, Way
 from revisit.sdk.clouds import Cloud
 from revisit.sdk.reading import Json
-from revisit.sdk.scan_choice import Way, pose_matrix
+from revisit.sdk.scan_choice import pose_matrix
 from revisit.sdk.transport import OnDelay
 
 DEFAULT_MAX_BYTES = 4 * 2**30

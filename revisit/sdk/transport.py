@@ -6,10 +6,9 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any, Protocol
 
-from revisit.core.scan_marks import ScanMarks
+from revisit.core.scan_marks import ScanMarks, Way
 from revisit.sdk.clouds import Cloud
 from revisit.sdk.reading import Json
-from revisit.sdk.scan_choice import Way
 from revisit.v1 import event_pb2, loop_closure_pb2, mapping_pb2
 
 SILENT_S = 45.0

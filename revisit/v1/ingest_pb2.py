@@ -28,7 +28,7 @@ from revisit.v1 import loop_closure_pb2 as revisit_dot_v1_dot_loop__closure__pb2
 from revisit.v1 import submap_pb2 as revisit_dot_v1_dot_submap__pb2
 
 
-DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n\x17revisit/v1/ingest.proto\x12\nrevisit.v1\x1a\x16revisit/v1/cloud.proto\x1a\x19revisit/v1/geometry.proto\x1a\x1drevisit/v1/loop_closure.proto\x1a\x17revisit/v1/submap.proto\"\x85\x01\n\x12StreamScansRequest\x12 \n\x04open\x18\x01 \x01(\x0b\x32\x10.revisit.v1.OpenH\x00\x12 \n\x04scan\x18\x02 \x01(\x0b\x32\x10.revisit.v1.ScanH\x00\x12 \n\x04pose\x18\x03 \x01(\x0b\x32\x10.revisit.v1.PoseH\x00\x42\t\n\x07request\"\x81\x01\n\x04Open\x12\x0f\n\x07session\x18\x01 \x01(\t\x12\x1b\n\x13watch_loop_closures\x18\x02 \x01(\x08\x12\x1b\n\x13loop_closures_after\x18\x03 \x01(\x04\x12\x14\n\x0cresume_token\x18\x04 \x01(\t\x12\x18\n\x10\x61\x63knowledged_seq\x18\x05 \x01(\x04\"\x9f\x01\n\x04Scan\x12\x0b\n\x03seq\x18\x01 \x01(\x04\x12\x10\n\x08stamp_ns\x18\x02 \x01(\x03\x12,\n\rt_odom_sensor\x18\x03 \x01(\x0b\x32\x15.revisit.v1.Transform\x12 \n\x05\x63loud\x18\x04 \x01(\x0b\x32\x11.revisit.v1.Cloud\x12\x18\n\x0btravelled_m\x18\x05 \x01(\x01H\x00\x88\x01\x01\x42\x0e\n\x0c_travelled_m\"F\n\x04Pose\x12\x10\n\x08stamp_ns\x18\x01 \x01(\x03\x12,\n\rt_odom_sensor\x18\x02 \x01(\x0b\x32\x15.revisit.v1.Transform\"[\n\tScanMarks\x12\r\n\x05tau_m\x18\x01 \x01(\x01\x12\x15\n\rleast_per_tau\x18\x02 \x01(\r\x12\x16\n\x0e\x65nough_returns\x18\x03 \x01(\r\x12\x10\n\x08turn_rad\x18\x04 \x01(\x01\"\xbd\x02\n\x13StreamScansResponse\x12$\n\x06opened\x18\x01 \x01(\x0b\x32\x12.revisit.v1.OpenedH\x00\x12\x1e\n\x03\x61\x63k\x18\x02 \x01(\x0b\x32\x0f.revisit.v1.AckH\x00\x12 \n\x04nack\x18\x03 \x01(\x0b\x32\x10.revisit.v1.NackH\x00\x12\x35\n\x0fsubmap_finished\x18\x04 \x01(\x0b\x32\x1a.revisit.v1.SubmapFinishedH\x00\x12-\n\x0bloop_closed\x18\x05 \x01(\x0b\x32\x16.revisit.v1.LoopClosedH\x00\x12(\n\x08throttle\x18\x06 \x01(\x0b\x32\x14.revisit.v1.ThrottleH\x00\x12\"\n\x05\x64rain\x18\x07 \x01(\x0b\x32\x11.revisit.v1.DrainH\x00\x42\n\n\x08response\"\xc5\x01\n\x06Opened\x12\x15\n\rcommitted_seq\x18\x01 \x01(\x04\x12\x0f\n\x07\x63redits\x18\x02 \x01(\r\x12\x14\n\x0cwindow_bytes\x18\x03 \x01(\x04\x12\x14\n\x0cresume_token\x18\x04 \x01(\t\x12$\n\x05marks\x18\x05 \x01(\x0b\x32\x15.revisit.v1.ScanMarks\x12\x13\n\x0btravelled_m\x18\x06 \x01(\x01\x12,\n\rt_odom_sensor\x18\x07 \x01(\x0b\x32\x15.revisit.v1.Transform\"S\n\x03\x41\x63k\x12\x15\n\rcommitted_seq\x18\x01 \x01(\x04\x12\x0f\n\x07\x63redits\x18\x02 \x01(\r\x12\x12\n\nsubmap_seq\x18\x03 \x01(\x04\x12\x10\n\x08left_out\x18\x04 \x01(\x08\"n\n\x04Nack\x12\x0b\n\x03seq\x18\x01 \x01(\x04\x12\x0e\n\x06reason\x18\x02 \x01(\t\x12\x11\n\tretryable\x18\x03 \x01(\x08\x12\x0f\n\x07message\x18\x04 \x01(\t\x12\x14\n\x0c\x65xpected_seq\x18\x05 \x01(\x04\x12\x0f\n\x07\x63redits\x18\x06 \x01(\r\"1\n\x0eSubmapFinished\x12\x0c\n\x04name\x18\x01 \x01(\t\x12\x11\n\toperation\x18\x02 \x01(\t\";\n\nLoopClosed\x12-\n\x0cloop_closure\x18\x01 \x01(\x0b\x32\x17.revisit.v1.LoopClosure\"\xa6\x01\n\x12\x41ppendScanResponse\x12\x15\n\rcommitted_seq\x18\x01 \x01(\x04\x12\x0e\n\x06replay\x18\x02 \x01(\x08\x12\'\n\x06report\x18\x03 \x01(\x0b\x32\x17.revisit.v1.CloudReport\x12.\n\x06submap\x18\x04 \x01(\x0b\x32\x1e.revisit.v1.PostSubmapResponse\x12\x10\n\x08left_out\x18\x05 \x01(\x08\"!\n\x08Throttle\x12\x15\n\rretry_delay_s\x18\x01 \x01(\x01\"\x07\n\x05\x44rain2c\n\rIngestService\x12R\n\x0bStreamScans\x12\x1e.revisit.v1.StreamScansRequest\x1a\x1f.revisit.v1.StreamScansResponse(\x01\x30\x01\x62\x06proto3')
+DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n\x17revisit/v1/ingest.proto\x12\nrevisit.v1\x1a\x16revisit/v1/cloud.proto\x1a\x19revisit/v1/geometry.proto\x1a\x1drevisit/v1/loop_closure.proto\x1a\x17revisit/v1/submap.proto\"\x85\x01\n\x12StreamScansRequest\x12 \n\x04open\x18\x01 \x01(\x0b\x32\x10.revisit.v1.OpenH\x00\x12 \n\x04scan\x18\x02 \x01(\x0b\x32\x10.revisit.v1.ScanH\x00\x12 \n\x04pose\x18\x03 \x01(\x0b\x32\x10.revisit.v1.PoseH\x00\x42\t\n\x07request\"\x81\x01\n\x04Open\x12\x0f\n\x07session\x18\x01 \x01(\t\x12\x1b\n\x13watch_loop_closures\x18\x02 \x01(\x08\x12\x1b\n\x13loop_closures_after\x18\x03 \x01(\x04\x12\x14\n\x0cresume_token\x18\x04 \x01(\t\x12\x18\n\x10\x61\x63knowledged_seq\x18\x05 \x01(\x04\"\x9f\x01\n\x04Scan\x12\x0b\n\x03seq\x18\x01 \x01(\x04\x12\x10\n\x08stamp_ns\x18\x02 \x01(\x03\x12,\n\rt_odom_sensor\x18\x03 \x01(\x0b\x32\x15.revisit.v1.Transform\x12 \n\x05\x63loud\x18\x04 \x01(\x0b\x32\x11.revisit.v1.Cloud\x12\x18\n\x0btravelled_m\x18\x05 \x01(\x01H\x00\x88\x01\x01\x42\x0e\n\x0c_travelled_m\"F\n\x04Pose\x12\x10\n\x08stamp_ns\x18\x01 \x01(\x03\x12,\n\rt_odom_sensor\x18\x02 \x01(\x0b\x32\x15.revisit.v1.Transform\"q\n\tScanMarks\x12\r\n\x05tau_m\x18\x01 \x01(\x01\x12\x15\n\rleast_per_tau\x18\x02 \x01(\r\x12\x16\n\x0e\x65nough_returns\x18\x03 \x01(\r\x12\x10\n\x08turn_rad\x18\x04 \x01(\x01\x12\x14\n\x0cleast_step_m\x18\x05 \x01(\x01\"\xbd\x02\n\x13StreamScansResponse\x12$\n\x06opened\x18\x01 \x01(\x0b\x32\x12.revisit.v1.OpenedH\x00\x12\x1e\n\x03\x61\x63k\x18\x02 \x01(\x0b\x32\x0f.revisit.v1.AckH\x00\x12 \n\x04nack\x18\x03 \x01(\x0b\x32\x10.revisit.v1.NackH\x00\x12\x35\n\x0fsubmap_finished\x18\x04 \x01(\x0b\x32\x1a.revisit.v1.SubmapFinishedH\x00\x12-\n\x0bloop_closed\x18\x05 \x01(\x0b\x32\x16.revisit.v1.LoopClosedH\x00\x12(\n\x08throttle\x18\x06 \x01(\x0b\x32\x14.revisit.v1.ThrottleH\x00\x12\"\n\x05\x64rain\x18\x07 \x01(\x0b\x32\x11.revisit.v1.DrainH\x00\x42\n\n\x08response\"\xc5\x01\n\x06Opened\x12\x15\n\rcommitted_seq\x18\x01 \x01(\x04\x12\x0f\n\x07\x63redits\x18\x02 \x01(\r\x12\x14\n\x0cwindow_bytes\x18\x03 \x01(\x04\x12\x14\n\x0cresume_token\x18\x04 \x01(\t\x12$\n\x05marks\x18\x05 \x01(\x0b\x32\x15.revisit.v1.ScanMarks\x12\x13\n\x0btravelled_m\x18\x06 \x01(\x01\x12,\n\rt_odom_sensor\x18\x07 \x01(\x0b\x32\x15.revisit.v1.Transform\"S\n\x03\x41\x63k\x12\x15\n\rcommitted_seq\x18\x01 \x01(\x04\x12\x0f\n\x07\x63redits\x18\x02 \x01(\r\x12\x12\n\nsubmap_seq\x18\x03 \x01(\x04\x12\x10\n\x08left_out\x18\x04 \x01(\x08\"n\n\x04Nack\x12\x0b\n\x03seq\x18\x01 \x01(\x04\x12\x0e\n\x06reason\x18\x02 \x01(\t\x12\x11\n\tretryable\x18\x03 \x01(\x08\x12\x0f\n\x07message\x18\x04 \x01(\t\x12\x14\n\x0c\x65xpected_seq\x18\x05 \x01(\x04\x12\x0f\n\x07\x63redits\x18\x06 \x01(\r\"1\n\x0eSubmapFinished\x12\x0c\n\x04name\x18\x01 \x01(\t\x12\x11\n\toperation\x18\x02 \x01(\t\";\n\nLoopClosed\x12-\n\x0cloop_closure\x18\x01 \x01(\x0b\x32\x17.revisit.v1.LoopClosure\"\xa6\x01\n\x12\x41ppendScanResponse\x12\x15\n\rcommitted_seq\x18\x01 \x01(\x04\x12\x0e\n\x06replay\x18\x02 \x01(\x08\x12\'\n\x06report\x18\x03 \x01(\x0b\x32\x17.revisit.v1.CloudReport\x12.\n\x06submap\x18\x04 \x01(\x0b\x32\x1e.revisit.v1.PostSubmapResponse\x12\x10\n\x08left_out\x18\x05 \x01(\x08\"!\n\x08Throttle\x12\x15\n\rretry_delay_s\x18\x01 \x01(\x01\"\x07\n\x05\x44rain2c\n\rIngestService\x12R\n\x0bStreamScans\x12\x1e.revisit.v1.StreamScansRequest\x1a\x1f.revisit.v1.StreamScansResponse(\x01\x30\x01\x62\x06proto3')
 
 _globals = globals()
 _builder.BuildMessageAndEnumDescriptors(DESCRIPTOR, _globals)
@@ -44,25 +44,25 @@ if not _descriptor._USE_C_DESCRIPTORS:
   _globals['_POSE']._serialized_start=576
   _globals['_POSE']._serialized_end=646
   _globals['_SCANMARKS']._serialized_start=648
-  _globals['_SCANMARKS']._serialized_end=739
-  _globals['_STREAMSCANSRESPONSE']._serialized_start=742
-  _globals['_STREAMSCANSRESPONSE']._serialized_end=1059
-  _globals['_OPENED']._serialized_start=1062
-  _globals['_OPENED']._serialized_end=1259
-  _globals['_ACK']._serialized_start=1261
-  _globals['_ACK']._serialized_end=1344
-  _globals['_NACK']._serialized_start=1346
-  _globals['_NACK']._serialized_end=1456
-  _globals['_SUBMAPFINISHED']._serialized_start=1458
-  _globals['_SUBMAPFINISHED']._serialized_end=1507
-  _globals['_LOOPCLOSED']._serialized_start=1509
-  _globals['_LOOPCLOSED']._serialized_end=1568
-  _globals['_APPENDSCANRESPONSE']._serialized_start=1571
-  _globals['_APPENDSCANRESPONSE']._serialized_end=1737
-  _globals['_THROTTLE']._serialized_start=1739
-  _globals['_THROTTLE']._serialized_end=1772
-  _globals['_DRAIN']._serialized_start=1774
-  _globals['_DRAIN']._serialized_end=1781
-  _globals['_INGESTSERVICE']._serialized_start=1783
-  _globals['_INGESTSERVICE']._serialized_end=1882
+  _globals['_SCANMARKS']._serialized_end=761
+  _globals['_STREAMSCANSRESPONSE']._serialized_start=764
+  _globals['_STREAMSCANSRESPONSE']._serialized_end=1081
+  _globals['_OPENED']._serialized_start=1084
+  _globals['_OPENED']._serialized_end=1281
+  _globals['_ACK']._serialized_start=1283
+  _globals['_ACK']._serialized_end=1366
+  _globals['_NACK']._serialized_start=1368
+  _globals['_NACK']._serialized_end=1478
+  _globals['_SUBMAPFINISHED']._serialized_start=1480
+  _globals['_SUBMAPFINISHED']._serialized_end=1529
+  _globals['_LOOPCLOSED']._serialized_start=1531
+  _globals['_LOOPCLOSED']._serialized_end=1590
+  _globals['_APPENDSCANRESPONSE']._serialized_start=1593
+  _globals['_APPENDSCANRESPONSE']._serialized_end=1759
+  _globals['_THROTTLE']._serialized_start=1761
+  _globals['_THROTTLE']._serialized_end=1794
+  _globals['_DRAIN']._serialized_start=1796
+  _globals['_DRAIN']._serialized_end=1803
+  _globals['_INGESTSERVICE']._serialized_start=1805
+  _globals['_INGESTSERVICE']._serialized_end=1904
 # @@protoc_insertion_point(module_scope)

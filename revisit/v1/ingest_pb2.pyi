@@ -56,16 +56,18 @@ class Pose(_message.Message):
     def __init__(self, stamp_ns: _Optional[int] = ..., t_odom_sensor: _Optional[_Union[_geometry_pb2.Transform, _Mapping]] = ...) -> None: ...
 
 class ScanMarks(_message.Message):
-    __slots__ = ("tau_m", "least_per_tau", "enough_returns", "turn_rad")
+    __slots__ = ("tau_m", "least_per_tau", "enough_returns", "turn_rad", "least_step_m")
     TAU_M_FIELD_NUMBER: _ClassVar[int]
     LEAST_PER_TAU_FIELD_NUMBER: _ClassVar[int]
     ENOUGH_RETURNS_FIELD_NUMBER: _ClassVar[int]
     TURN_RAD_FIELD_NUMBER: _ClassVar[int]
+    LEAST_STEP_M_FIELD_NUMBER: _ClassVar[int]
     tau_m: float
     least_per_tau: int
     enough_returns: int
     turn_rad: float
-    def __init__(self, tau_m: _Optional[float] = ..., least_per_tau: _Optional[int] = ..., enough_returns: _Optional[int] = ..., turn_rad: _Optional[float] = ...) -> None: ...
+    least_step_m: float
+    def __init__(self, tau_m: _Optional[float] = ..., least_per_tau: _Optional[int] = ..., enough_returns: _Optional[int] = ..., turn_rad: _Optional[float] = ..., least_step_m: _Optional[float] = ...) -> None: ...
 
 class StreamScansResponse(_message.Message):
     __slots__ = ("opened", "ack", "nack", "submap_finished", "loop_closed", "throttle", "drain")

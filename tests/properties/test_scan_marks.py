@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -12,7 +11,7 @@ from hypothesis import strategies as st
 
 from revisit.core.config import SubmapConfig
 from revisit.core.geometry import se3
-from revisit.core.scan_marks import ScanMarks, marked_rows, step_m
+from revisit.core.scan_marks import ScanMarks, marked_rows, way_along
 
 MARKS = ScanMarks.of(SubmapConfig())
 
@@ -22,6 +21,15 @@ def drive(step: float, scans: int, jitter_m: float = 0.0, turn_deg: float = 0.0,
     rng = np.random.default_rng(seed)
     at = np.column_stack([np.arange(scans) * step, np.zeros((scans, 2))]) + rng.uniform(-jitter_m, jitter_m, (scans, 3))
     return [se3.from_yaw(math.radians(turn_deg) * row, where) for row, where in enumerate(at)]
+
+
+def ways_m(poses: list[np.ndarray]) -> list[float]:
+    """The way up to each pose, metres."""
+    ways, way = list[float](), None
+    for pose in poses:
+        way = MARKS.way_to(pose, way)
+        ways.append(way.travelled_m)
+    return ways
 
 
 def chosen_with_way(poses: list[np.ndarray], travelled_m: list[float], returns: list[int]) -> list[int]:
@@ -42,7 +50,7 @@ def chosen_with_way(poses: list[np.ndarray], travelled_m: list[float], returns: 
 def test_a_thinned_stream_is_chosen_as_the_full_one(step, jitter_m, turn_deg, seed, returns):
     poses = drive(step, 150, jitter_m, turn_deg, seed)
     counts = (returns + np.random.default_rng(seed).integers(-30, 30, len(poses))).tolist()
-    way_m = np.cumsum([0.0, *(step_m(*pair) for pair in pairwise(poses))]).tolist()
+    way_m = ways_m(poses)
     rows = chosen_with_way(poses, way_m, counts)
     assert rows == marked_rows(zip(poses, counts, strict=True), MARKS)
     thinned = [[of[row] for row in rows] for of in (poses, way_m, counts)]
@@ -74,6 +82,20 @@ def test_a_turn_on_the_spot_is_seen_all_round_once():
 
 def test_a_robot_that_stands_still_gives_one_scan():
     assert marked_rows(((np.eye(4), 3_000) for _ in range(400)), MARKS) == [0]
+
+
+def test_a_robot_that_trembles_where_it_stands_travels_nowhere():
+    """An hour of ten scans a second, each off by a centimetre on each axis."""
+    at = np.random.default_rng(3).normal(0.0, 0.01, (36_000, 3))
+    poses = [se3.from_yaw(0.0, where) for where in at]
+    assert way_along(poses, MARKS).travelled_m == 0.0
+    assert marked_rows(((pose, 118_000) for pose in poses), MARKS) == [0]
+
+
+@pytest.mark.parametrize("step", [0.003, 0.04, 0.15, 2.0])
+def test_the_way_is_as_long_as_the_drive_whatever_the_speed(step):
+    poses = drive(step, round(40 / step))
+    assert way_along(poses, MARKS).travelled_m == pytest.approx((len(poses) - 1) * step, abs=MARKS.least_step_m)
 
 
 def test_a_jump_of_the_odometry_is_a_new_mark():

@@ -16,7 +16,7 @@ from revisit.core.config import SubmapConfig
 from revisit.core.errors import BadField, RevisitError
 from revisit.core.geometry.se3 import pose_matrix, pose_row
 from revisit.core.scan import CloudReport, Scan
-from revisit.core.scan_marks import ChosenScan, ScanMarks, step_m
+from revisit.core.scan_marks import ROUNDED_M, ChosenScan, ScanMarks, Way
 from revisit.core.submap import next_window_start
 from revisit.service.capacity.backlog import JobPosting
 from revisit.service.capacity.budget import Remembered
@@ -34,9 +34,6 @@ from revisit.service.ports.transactions import UnitOfWork
 
 SAME_POSE = 1e-9
 """Numbers of a pose that differ by less, metres or none, are the same number rounded twice."""
-
-ROUNDED_M = 1e-6
-"""A robot's count of the way may be so much less than the straight way between two scans."""
 
 SESSIONS_REMEMBERED = 4096
 """Sessions with their window rules and last scan in memory, about 2 kB each."""
@@ -119,21 +116,23 @@ class CloudWanted(Exception):
 
 @dataclass(frozen=True)
 class _Standing:
-    """Where a session stands: its row, its last scan, and the last one that was chosen, if it has one."""
+    """Where a session stands: its row, its way, its last scan, and the last one that was chosen, if it has one."""
 
     session: SessionRecord
+    way: Way | None
     last: ScanRecord | None
     chosen: ChosenScan | None
 
     def followed(self, accepted: AcceptedScan, config: SubmapConfig) -> tuple[_Standing, ScanRecord]:
         """The session with one scan more, and the row of that. Raises BadField, StreamFenced, NotFound."""
         session = self.session if accepted.stream is None else accepted.stream.entered(self.session)
-        travelled_m = _travelled_m(self, accepted)
+        marks = ScanMarks.of(config)
+        way = _way(self, accepted, marks)
         pose, returns = accepted.scan.T_odom_sensor, len(accepted.scan.points)
-        chosen = ScanMarks.of(config).choose(self.chosen, travelled_m, pose, returns)
-        row = _row(session, accepted, travelled_m, chosen=chosen is not None)
-        moved = replace(session, committed_seq=accepted.seq, travelled_m=travelled_m)
-        return _Standing(moved, row, chosen or self.chosen), row
+        chosen = marks.choose(self.chosen, way.travelled_m, pose, returns)
+        row = _row(session, accepted, way.travelled_m, chosen=chosen is not None)
+        moved = replace(session, committed_seq=accepted.seq, travelled_m=way.travelled_m)
+        return _Standing(moved, way, row, chosen or self.chosen), row
 
 
 @dataclass(frozen=True)
@@ -242,7 +241,7 @@ class Appending:
         scan = uow.scans.add(row)
         moved, submap = self._advance(uow, after.session, scan, config)
         ack = _acknowledged(accepted, submap)
-        return _Appended(ack, _Standing(moved, scan, after.chosen))
+        return _Appended(ack, replace(after, session=moved, last=scan))
 
     def insert_all(self, uow: UnitOfWork, scans: Sequence[AcceptedScan]) -> dict[int, _Appended]:
         """As `insert`, scans of any sessions in a few statements; what was added, by the `id` of its scan.
@@ -286,7 +285,10 @@ class Appending:
             return replace(known, session=session)
         of, last = (session.tenant, session.map_id, session.session_id), session.committed_seq
         chosen = uow.scans.chosen_between(*of, 1, last, newest=1)
-        return _Standing(session, stored_scan(uow, session, last), _chosen_of(chosen))
+        counted = uow.scans.first_seq_from(*of, session.travelled_m)
+        at = None if counted is None else stored_scan(uow, session, counted)
+        way = None if at is None else Way(session.travelled_m, pose_matrix(at.T_odom_sensor))
+        return _Standing(session, way, stored_scan(uow, session, last), _chosen_of(chosen))
 
     def _advance(
         self, uow: UnitOfWork, moved: SessionRecord, scan: ScanRecord, config: SubmapConfig
@@ -392,17 +394,21 @@ def taken(session: SessionRecord, seq: int) -> AlreadyExists:
     )
 
 
-def _travelled_m(standing: _Standing, accepted: AcceptedScan) -> float:
-    """How far a session has travelled with its next scan, metres. Raises BadField where time went backwards.
+def _way(standing: _Standing, accepted: AcceptedScan, marks: ScanMarks) -> Way:
+    """The way of a session with its next scan. Raises BadField where time went backwards.
 
-    The robot's count is taken where it is possible; else, as where it began to count anew, the straight way.
+    The robot's count is taken where it is possible; else, as where it began to count anew, the straight way. Both may
+    wait with a step of their own.
     """
     last, scan = standing.last, accepted.scan
     if last is not None and scan.stamp_ns < last.stamp_ns:
         raise BadField(f"stamp_ns lies before that of the last stored scan, {last.stamp_ns}", field="stamp_ns")
-    straight_m = 0.0 if last is None else step_m(pose_matrix(last.T_odom_sensor), scan.T_odom_sensor)
-    least_m, told_m = standing.session.travelled_m + straight_m, accepted.travelled_m
-    return least_m if told_m is None or told_m < least_m - ROUNDED_M else told_m
+    counted, told_m = marks.way_to(scan.T_odom_sensor, standing.way), accepted.travelled_m
+    if told_m is None or told_m < counted.travelled_m - 2.0 * marks.least_step_m - ROUNDED_M:
+        return counted
+    if standing.way is not None and told_m <= standing.way.travelled_m:
+        return standing.way
+    return Way(told_m, scan.T_odom_sensor)
 
 
 def _chosen_of(newest: Sequence[ScanRecord]) -> ChosenScan | None:

@@ -34,18 +34,16 @@ def scan_at(x_m: float, seq: int) -> Scan:
 def test_windows_are_those_of_the_builder(steps_m, tau, stride):
     config = SubmapConfig(tau=tau, stride=stride)
     builder, session = SubmapBuilder(config), NEW
-    travelled, x_m, marks, last = {}, 0.0, ScanMarks.of(config), None
+    travelled, x_m, marks, last, way = {}, 0.0, ScanMarks.of(config), None, None
 
     def first_seq_from(start_m):
         return min((seq for seq, distance in travelled.items() if distance >= start_m), default=None)
 
     for seq, step_m in enumerate(steps_m, start=1):
-        # As the builder and the use case measure it: the difference of two positions.
-        before, x_m = x_m, x_m + (0.0 if seq == 1 else step_m)
-        measured = abs(x_m - before)
-        travelled[seq] = session.travelled_m + measured
-        built = builder.add(scan_at(x_m, seq))
-        scan = scan_at(x_m, seq)
+        x_m += 0.0 if seq == 1 else step_m
+        built, scan = builder.add(scan_at(x_m, seq)), scan_at(x_m, seq)
+        way = marks.way_to(scan.T_odom_sensor, way)
+        travelled[seq] = way.travelled_m
         chosen = marks.choose(last, travelled[seq], scan.T_odom_sensor, len(scan.points))
         last = chosen or last
         session = replace(session, committed_seq=seq, travelled_m=travelled[seq])
