@@ -14,7 +14,7 @@ from revisit.core.config import SubmapConfig
 from revisit.core.errors import BadField, EmptyCloud
 from revisit.core.geometry import se3
 from revisit.core.geometry.level_frame import LevelFrame
-from revisit.core.scan import MIN_POINTS, Points, Scan
+from revisit.core.scan import MIN_POINTS, Intensity, Points, Scan
 from revisit.core.scan_marks import ChosenScan, ScanMarks, Way, marked_rows
 
 
@@ -27,7 +27,7 @@ class Submap:
     T_odom_submap the pose of the middle scan;
     position (3,) float64 the mean position of the scans in the odometry frame.
     Once `levelled`, points, origins and T_odom_submap are those of the level frame, and T_scan_submap (4, 4) leads from
-    it back to that of the middle scan.
+    it back to that of the middle scan. `intensity` (n,) of the points, None where a scan has none; nothing rests on it.
     Raises BadField where the arrays do not fit together.
     """
 
@@ -38,8 +38,11 @@ class Submap:
     T_odom_submap: se3.Matrix4
     position: NDArray[np.float64]
     T_scan_submap: se3.Matrix4 = field(default_factory=lambda: np.eye(4))
+    intensity: Intensity | None = None
 
     def __post_init__(self) -> None:
+        if self.intensity is not None and len(self.intensity) != len(self.points):
+            raise BadField("a submap needs one intensity for each point, or none at all", field="intensity")
         if len(self.scan_index) != len(self.points) or len(self.stamps_ns) != len(self.origins):
             raise BadField(
                 "a submap needs one scan index for each point and one time stamp for each origin", field="points"
@@ -117,12 +120,16 @@ class Submap:
         T_submap_odom = se3.inverse(T_odom_submap)
         reach = config.min_range, config.max_range, config.max_range + config.tau
         points, ends, seen, given = np.empty((room, 3), dtype=np.float32), [0], [], 0
+        carried = list[Intensity | None]()
         for scan in scans:
             given += len(scan.points)
             if given > room:
                 raise BadField(f"the scans of a submap have more than {room} points", field="points")
             T_submap_scan = T_submap_odom @ scan.T_odom_sensor
-            ends.append(ends[-1] + place_returns(T_submap_scan, scan.points, *reach, points[ends[-1] :]))
+            values = np.empty(0, np.float32) if scan.intensity is None else scan.intensity.copy()
+            kept = place_returns(T_submap_scan, scan.points, *reach, points[ends[-1] :], values)
+            carried.append(None if scan.intensity is None else values[:kept])
+            ends.append(ends[-1] + kept)
             seen.append((T_submap_scan[:3, 3], scan.T_odom_sensor[:3, 3], scan.stamp_ns))
         origins, positions, stamps_ns = zip(*seen, strict=True)
         return cls(
@@ -132,6 +139,7 @@ class Submap:
             stamps_ns=np.array(stamps_ns, dtype=np.int64),
             T_odom_submap=T_odom_submap,
             position=np.mean(positions, axis=0),
+            intensity=_joined(carried),
         )
 
     @classmethod
@@ -149,7 +157,14 @@ class Submap:
             stamps_ns=np.array([scan.stamp_ns], dtype=np.int64),
             T_odom_submap=scan.T_odom_sensor,
             position=scan.T_odom_sensor[:3, 3].copy(),
+            intensity=None if scan.intensity is None else scan.intensity[near],
         )
+
+
+def _joined(parts: list[Intensity | None]) -> Intensity | None:
+    """The intensity of scans one after the other; None where one has none."""
+    known = [part for part in parts if part is not None]
+    return np.concatenate(known) if len(known) == len(parts) else None
 
 
 def _enough(points: Points, given: int) -> Points:

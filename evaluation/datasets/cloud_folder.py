@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from revisit.core.errors import BadField, MalformedBody
 from revisit.core.geometry import se3
-from revisit.core.scan import Points
 from revisit.evaluation.datasets.lidar_odometry import KISS_ICP, Report, odometry_of
 from revisit.evaluation.datasets.number_rows import MICROSECOND_DIGITS, nanoseconds, read_rows, read_times, read_words
 from revisit.evaluation.datasets.posed_clouds import (
@@ -21,7 +20,7 @@ from revisit.evaluation.datasets.posed_clouds import (
     interpolated,
     posed,
 )
-from revisit.formats import decode_cloud, media_type_for_suffix
+from revisit.formats import DecodedCloud, decode_cloud, media_type_for_suffix
 
 SCAN_PERIOD_NS = 100_000_000
 _TIMES = "times.txt"
@@ -76,7 +75,7 @@ def open_unposed_clouds(folder: Path, report: Report | None = None, limit: int |
     """
     files = _clouds(folder)
     wanted = files[:limit]
-    odometry = odometry_of(lambda index: read_cloud(wanted[index]), len(wanted), report)
+    odometry = odometry_of(lambda index: read_cloud(wanted[index]).points, len(wanted), report)
     stamps = _stamps(folder, files)[:limit]
     clouds = posed(folder.resolve().name, wanted, list(odometry.T_odom_sensor), stamps, read_cloud)
     return replace(clouds, notes=odometry.notes(), unposed=len(files) - len(wanted))
@@ -90,9 +89,9 @@ def _stamps(folder: Path, files: list[Path]) -> Stamps:
     return _regular(len(files)) if named is None else named
 
 
-def read_cloud(file: Path) -> Points:
-    """The points (n, 3) of a cloud file, by the product's own parsers. Raises MalformedBody, UnsupportedEncoding."""
-    return decode_cloud(file.read_bytes(), media_type_for_suffix(file.suffix)).points
+def read_cloud(file: Path) -> DecodedCloud:
+    """A cloud file, by the product's own parsers. Raises MalformedBody, UnsupportedEncoding."""
+    return decode_cloud(file.read_bytes(), media_type_for_suffix(file.suffix))
 
 
 def _clouds(folder: Path) -> list[Path]:

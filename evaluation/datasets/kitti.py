@@ -13,6 +13,7 @@ from revisit.core.geometry import se3
 from revisit.core.scan import Points, Scan
 from revisit.evaluation.datasets.number_rows import keyed_matrix, read_rows, read_times, read_words
 from revisit.evaluation.datasets.posed_clouds import in_number_order
+from revisit.formats import DecodedCloud
 
 SCAN_PERIOD_S = 0.1
 _BYTES_PER_POINT = 16
@@ -67,8 +68,8 @@ class KittiRecording:
 
     def scan(self, index: int) -> Scan:
         """The scan with that index. Raises MalformedBody for a damaged file and as `Scan.validated` does."""
-        points = read_velodyne(self._files[index])
-        return Scan.validated(points, self._poses[index], int(self._stamps_ns[index]))
+        cloud = read_velodyne(self._files[index])
+        return Scan.validated(cloud.points, self._poses[index], int(self._stamps_ns[index]), cloud.intensity)
 
     def __iter__(self) -> Iterator[Scan]:
         return (self.scan(index) for index in range(len(self)))
@@ -86,13 +87,14 @@ class KittiRecording:
             raise BadField(f"{file} has {count} rows for {len(self._files)} scans", field=file)
 
 
-def read_velodyne(file: Path) -> Points:
-    """The points (n, 3) of a .bin file of float32 x, y, z, reflectance. Raises MalformedBody for a torn file."""
+def read_velodyne(file: Path) -> DecodedCloud:
+    """The points of a .bin file of float32 x, y, z, reflectance. Raises MalformedBody for a torn file."""
     raw = file.read_bytes()
     if len(raw) % _BYTES_PER_POINT:
         rows = next((f": rows of {count} numbers?" for count in (3, 5) if len(raw) % (4 * count) == 0), "")
         raise MalformedBody(f"{file.name} holds {len(raw)} bytes, which is no multiple of {_BYTES_PER_POINT}{rows}")
-    return np.frombuffer(raw, dtype="<f4").reshape(-1, 4)[:, :3].astype(np.float32)
+    hits = np.frombuffer(raw, dtype="<f4").reshape(-1, 4)
+    return DecodedCloud(hits[:, :3].astype(np.float32), hits[:, 3].astype(np.float32))
 
 
 def write_kitti(folder: Path | str, scans: Iterable[tuple[Points, se3.Matrix4, int]]) -> int:

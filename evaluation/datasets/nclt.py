@@ -12,9 +12,9 @@ import numpy as np
 
 from revisit.core.errors import MalformedBody
 from revisit.core.geometry import se3
-from revisit.core.scan import Points
 from revisit.evaluation.datasets.number_rows import read_rows
 from revisit.evaluation.datasets.posed_clouds import PosedClouds, StampedPoses, interpolated, named_scans
+from revisit.formats import DecodedCloud
 
 _HIT = np.dtype([("xyz", "<u2", 3), ("intensity", "u1"), ("beam", "u1")])
 _UNIT_M, _OFFSET_M = 0.005, -100.0
@@ -35,16 +35,17 @@ def open_nclt(folder: Path) -> PosedClouds:
     return interpolated(date, scans, StampedPoses(stamps_ns, T_world_body), np.eye(4), read_hits)
 
 
-def read_hits(file: Path) -> Points:
-    """The points (n, 3) of a velodyne_sync file, z up: 16 bit without sign, 5 mm a unit, from -100 m.
+def read_hits(file: Path) -> DecodedCloud:
+    """The points of a velodyne_sync file, z up: 16 bit without sign, 5 mm a unit, from -100 m.
 
     Raises MalformedBody for a torn file.
     """
     raw = file.read_bytes()
     if len(raw) % _HIT.itemsize:
         raise MalformedBody(f"{file.name} holds {len(raw)} bytes, which is no multiple of {_HIT.itemsize}")
-    hits = np.frombuffer(raw, dtype=_HIT)["xyz"] * _UNIT_M + _OFFSET_M
-    return np.asarray(hits * [1.0, -1.0, -1.0], dtype=np.float32)
+    hits = np.frombuffer(raw, dtype=_HIT)
+    points = (hits["xyz"] * _UNIT_M + _OFFSET_M) * [1.0, -1.0, -1.0]
+    return DecodedCloud(np.asarray(points, dtype=np.float32), hits["intensity"].astype(np.float32))
 
 
 def _ground_truth(folder: Path, date: str) -> Path:

@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 
 from revisit.core.geometry import se3
 from revisit.core.geometry.deskew import SweepMotion, deskewed, knots
-from revisit.core.scan import Points
+from revisit.core.scan import Intensity, Points
 from revisit.evaluation.datasets.bag_message import Bag, Encoding, Place
 from revisit.evaluation.datasets.pairing import Pairing
 from revisit.evaluation.datasets.posed_clouds import Stamps
-from revisit.evaluation.datasets.ros_messages import read_coordinates, read_points, read_sweep
+from revisit.evaluation.datasets.ros_messages import read_coordinates, read_intensity, read_points, read_sweep
 
 _DESKEWED = re.compile(r"deskew|undistort|compensat|registered|corrected", re.IGNORECASE)
 """Clouds on topics that are called so were deskewed by their publisher."""
@@ -47,6 +47,10 @@ class BagCloud:
             coordinates = read_coordinates(message, self.message_type, self.encoding) if sweep is None else sweep
             moved = coordinates if self.T_scan_cloud is None else se3.apply(self.T_scan_cloud, coordinates)
             return moved.astype(np.float32)
+
+    def intensity(self, bag: Bag) -> Intensity | None:
+        """The intensity (n,) of these points; None where the cloud does not tell it."""
+        return read_intensity(bag.data(self.place), self.message_type, self.encoding)
 
     def sweep(self, bag: Bag) -> NDArray[np.float64] | None:
         """The deskewed points (n, 3), in the sensor's frame at the stamp; None where points have no times."""

@@ -15,10 +15,11 @@ from numpy.typing import NDArray
 
 from revisit.core.errors import BadField
 from revisit.core.geometry import se3
-from revisit.core.scan import Points, Scan
+from revisit.core.scan import Scan
+from revisit.formats import DecodedCloud
 
 Stamps = NDArray[np.int64]
-CloudReader = Callable[[Path], Points]
+CloudReader = Callable[[Path], DecodedCloud]
 
 GAP_NS = 1_000_000_000
 GAP_PERIODS = 5
@@ -80,7 +81,7 @@ class StampedPoses:
 class PosedClouds:
     """Cloud files, read when asked for.
 
-    T_world_sensor (n, 4, 4), z up; stamps_ns (n,) int64; `read` gives the points (n, 3) of a file in the sensor frame;
+    T_world_sensor (n, 4, 4), z up; stamps_ns (n,) int64; `read` gives the cloud of a file in the sensor frame;
     `origin` (3,) is where the world's origin lies in the published map frame, metres; `notes` are sentences about how
     the poses were made; `unposed` is the number of files behind these whose poses nobody made.
     """
@@ -109,7 +110,8 @@ class PosedClouds:
 
     def scan(self, index: int) -> Scan:
         """The scan with that index. Raises MalformedBody for a damaged file and as `Scan.validated` does."""
-        return Scan.validated(self.read(self.files[index]), self.pose(index), int(self.stamps_ns[index]))
+        cloud = self.read(self.files[index])
+        return Scan.validated(cloud.points, self.pose(index), int(self.stamps_ns[index]), cloud.intensity)
 
     def __iter__(self) -> Iterator[Scan]:
         return (self.scan(index) for index in range(len(self)))

@@ -61,7 +61,10 @@ class BagRecording:
         """The scan with that index. Raises MalformedBody for a damaged message and as `Scan.validated` does."""
         parts = [cloud.points(self.bag) for cloud in self.clouds[index]]
         points = parts[0] if len(parts) == 1 else np.concatenate(parts)
-        return Scan.validated(points, self.pose(index), int(self.stamps_ns[index]))
+        told = [cloud.intensity(self.bag) for cloud in self.clouds[index]]
+        known = [part for part in told if part is not None]
+        intensity = np.concatenate(known) if len(known) == len(told) else None
+        return Scan.validated(points, self.pose(index), int(self.stamps_ns[index]), intensity)
 
     def __iter__(self) -> Iterator[Scan]:
         return (self.scan(index) for index in range(len(self)))

@@ -10,11 +10,18 @@ from numpy.typing import NDArray
 
 from revisit.core.errors import MalformedBody
 from revisit.core.geometry import se3
-from revisit.core.scan import Points
+from revisit.core.scan import Intensity, Points
 from revisit.evaluation.datasets.bag_message import Encoding
-from revisit.formats.cloud import CloudLimits
+from revisit.formats.cloud import INTENSITY_NAMES, CloudLimits
 from revisit.formats.point_times import TIME_FIELDS, point_offsets
-from revisit.formats.pointcloud2 import FieldType, PackedCloud, PointField, decode_coordinates, decode_packed
+from revisit.formats.pointcloud2 import (
+    FieldType,
+    PackedCloud,
+    PointField,
+    decode_coordinates,
+    decode_packed,
+    field_of_points,
+)
 
 LIVOX_TYPES = tuple(
     f"{package}/msg/CustomMsg" for package in ("livox_ros_driver2", "livox_ros_driver", "livox_interfaces")
@@ -31,6 +38,7 @@ COORDINATES = ("x", "y", "z")
 LIVOX_POINT = (
     PointField("offset_time", 0, FieldType.UINT32),
     *(PointField(name, 4 + 4 * index, FieldType.FLOAT32) for index, name in enumerate(COORDINATES)),
+    PointField("reflectivity", 16, FieldType.UINT8),
 )
 LIVOX_POINT_BYTES = 19
 MAX_TRANSFORMS = 10_000
@@ -164,6 +172,12 @@ def read_points(message: bytes, message_type: str, encoding: Encoding = "cdr") -
     return decode_packed(_packed(message, message_type, encoding), CloudLimits()).points
 
 
+def read_intensity(message: bytes, message_type: str, encoding: Encoding = "cdr") -> Intensity | None:
+    """The intensity (n,) of those points in the unit of the sensor; None where no field tells it."""
+    _, values = field_of_points(_packed(message, message_type, encoding, INTENSITY_NAMES), INTENSITY_NAMES)
+    return None if values is None else values.astype(np.float32)
+
+
 def read_coordinates(message: bytes, message_type: str, encoding: Encoding = "cdr") -> NDArray[np.float64]:
     """The points as `read_points` gives them, before they are rounded to float32."""
     return decode_coordinates(_packed(message, message_type, encoding), CloudLimits())
@@ -197,7 +211,7 @@ def _point_cloud_2(fields: _Fields, names: tuple[str, ...]) -> PackedCloud:
     count = int(fields.number("I"))
     if count > MAX_FIELDS:
         raise MalformedBody(f"a cloud with {count} fields")
-    columns = tuple(column for column in (_column(fields) for _ in range(count)) if column.name in names)
+    columns = tuple(column for column in (_column(fields) for _ in range(count)) if column.name.lower() in names)
     big_endian = bool(fields.number("B"))
     point_step, row_step = (int(value) for value in fields.numbers("I", 2))
     data = _without_padding(fields.raw(), height, width * point_step, row_step)

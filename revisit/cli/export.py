@@ -184,10 +184,10 @@ def _write_cloud(
     from revisit.formats import laz, pcd, ply
 
     as_laz = partial(laz.encode, epsg=epsg or None)
-    writers: dict[str, Callable[[Any], bytes]] = {"ply": ply.encode, "pcd": pcd.encode, "laz": as_laz}
-    points = merged_cloud(http, placed, report)
-    out.write_bytes(writers[kind](points))
-    return {"points": len(points)}
+    writers: dict[str, Callable[..., bytes]] = {"ply": ply.encode, "pcd": pcd.encode, "laz": as_laz}
+    cloud = merged_cloud(http, placed, report)
+    out.write_bytes(writers[kind](cloud.points, intensity=cloud.intensity))
+    return {"points": len(cloud.points)}
 
 
 def _write_mesh(out: Path, http: str, placed: list[PlacedSubmap], report: Report, kind: str) -> dict[str, int]:
@@ -204,7 +204,7 @@ def _write_grid(out: Path, http: str, placed: list[PlacedSubmap], report: Report
     from revisit.cli.map_files import merged_cloud
     from revisit.formats.occupancy_grid import grid_of
 
-    grid = grid_of(merged_cloud(http, placed, report))
+    grid = grid_of(merged_cloud(http, placed, report).points)
     out.write_bytes(grid.to_pgm())
     out.with_suffix(".yaml").write_text(grid.to_yaml(out.name))
     return {"rows": grid.cells.shape[0], "columns": grid.cells.shape[1]}
@@ -214,9 +214,9 @@ def _write_mcap(out: Path, http: str, placed: list[PlacedSubmap], report: Report
     from revisit.cli.map_files import by_session, merged_cloud
     from revisit.formats.mcap_map import encode
 
-    sessions, points = by_session(placed), merged_cloud(http, placed, report)
-    out.write_bytes(encode(sessions, points))
-    return {"sessions": len(sessions), "points": len(points)}
+    sessions, cloud = by_session(placed), merged_cloud(http, placed, report)
+    out.write_bytes(encode(sessions, cloud.points, intensity=cloud.intensity))
+    return {"sessions": len(sessions), "points": len(cloud.points)}
 
 
 def _write_reference(out: Path, http: str, placed: list[PlacedSubmap], _report: Report) -> dict[str, int]:
@@ -247,16 +247,17 @@ def _write_autoware(
     from revisit.cli.map_files import merged_cloud
     from revisit.formats import autoware, pcd
 
-    points = merged_cloud(http, placed, report)
+    cloud = merged_cloud(http, placed, report)
     (out / autoware.CLOUDS).mkdir(parents=True, exist_ok=True)
     corners = []
-    for corner, part in autoware.squares_of(points):
-        (out / autoware.CLOUDS / autoware.file_of(corner)).write_bytes(pcd.encode(part))
+    for corner, rows in autoware.squares_of(cloud.points):
+        part = cloud.at(rows)
+        (out / autoware.CLOUDS / autoware.file_of(corner)).write_bytes(pcd.encode(part.points, part.intensity))
         corners.append(corner)
     (out / autoware.METADATA).write_text(autoware.metadata_of(corners))
     projector = autoware.LOCAL_PROJECTOR if earth is None else autoware.projector_of(earth.origin)
     (out / autoware.PROJECTOR).write_text(projector)
-    return {"points": len(points), "squares": len(corners)}
+    return {"points": len(cloud.points), "squares": len(corners)}
 
 
 def _write_tileset(out: Path, http: str, map_id: str, session_id: str) -> dict[str, Any]:

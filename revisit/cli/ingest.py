@@ -120,7 +120,7 @@ class Fixes:
 @dataclass(frozen=True)
 class Extent:
     """How much to do: `send` at most the first `limit` scans, or those of them that descriptions are made of, by way of
-    the file `spool`; then finish, then wait for the submaps.
+    the file `spool`, with the `intensity` of their points if wanted; then finish, then wait for the submaps.
 
     With None for `finish`, the session is finished unless the limit has left scans out.
     """
@@ -130,6 +130,7 @@ class Extent:
     finish: bool | None = None
     wait: bool = True
     send: Send = "described"
+    intensity: bool = False
 
     def count(self, recording: Recording) -> int:
         """How many scans of a recording this is about."""
@@ -188,6 +189,10 @@ def ingest(
     all_scans: Annotated[
         bool, typer.Option("--all-scans", help="Send every scan, not those alone that descriptions are made of.")
     ] = False,
+    intensity: Annotated[
+        bool,
+        typer.Option("--intensity", help="Send the intensity of the points, too: 1.5 to 2 times the bytes."),
+    ] = False,
     json: Json = False,
 ) -> None:
     """Stream a recording; run it again to resume."""
@@ -204,7 +209,7 @@ def ingest(
     target = Target(grpc, map_id, session, scene_scale, profile, storey, drift)
     fixes = Fixes(not no_gnss, gnss, _point(antenna))
     try:
-        extent = Extent(limit, spool, finish, wait, "all" if all_scans else "described")
+        extent = Extent(limit, spool, finish, wait, "all" if all_scans else "described", intensity)
         _transfer(recording, target, extent, json, fixes)
     except KeyboardInterrupt as error:
         typer.echo("revisit: interrupted; the same command goes on where this one ended", err=True)
@@ -343,11 +348,12 @@ def _open_session(client: Client, target: Target) -> Session:
 
 def _send(client: Client, session: Session, recording: Recording, extent: Extent, quiet: bool) -> Sent:
     """Stream the scans behind the last one that the service, or the spool, has."""
-    from revisit.cli.resuming import first_unsent, readable_or_error
+    from revisit.cli.resuming import first_unsent, readable_or_error, sent_points
 
     spooled_ns = None if extent.spool is None else _emptied(client, session, extent.spool)
     session = client.get_session(session.name)
-    first, count = first_unsent(client, session, recording, spooled_ns), extent.count(recording)
+    first = first_unsent(client, session, recording, spooled_ns, intensity=extent.intensity)
+    count = extent.count(recording)
     sent: list[int] = []
     refused: list[RefusedScan] = []
     with progress_bar(quiet) as bar, _stream_of(client, session, extent) as stream:
@@ -361,7 +367,7 @@ def _send(client: Client, session: Session, recording: Recording, extent: Extent
                 refused.append(RefusedScan(index, scan.code.value, scan.message))
                 continue
             skipped = stream.skipped
-            stream.send(scan.points, scan.T_odom_sensor, scan.stamp_ns)
+            stream.send(sent_points(scan, extent.intensity), scan.T_odom_sensor, scan.stamp_ns)
             sent += [index] * (stream.skipped == skipped)
         stream.flush()
         skipped = stream.skipped

@@ -77,24 +77,49 @@ def _optimised_here(graph: Graph) -> dict[str, dict[str, Matrix4]]:
     }
 
 
-def merged_cloud(http: str, placed: Sequence[PlacedSubmap], report: Callable[[str, int, int], None]) -> Points:
-    """The points (n, 3) of all submaps in the map, one in a voxel."""
-    parts = []
+@dataclass(frozen=True)
+class MergedCloud:
+    """Points (n, 3) in the map, metres, and their intensity (n,) in the unit of the sensors: 0 in submaps without it.
+
+    None where no submap has it.
+    """
+
+    points: Points
+    intensity: NDArray[np.float32] | None
+
+    def at(self, rows: NDArray[np.int64]) -> MergedCloud:
+        """Some of its points."""
+        return MergedCloud(self.points[rows], None if self.intensity is None else self.intensity[rows])
+
+
+def merged_cloud(http: str, placed: Sequence[PlacedSubmap], report: Callable[[str, int, int], None]) -> MergedCloud:
+    """The points of all submaps in the map, one in a voxel."""
+    parts = [MergedCloud(np.zeros((0, 3)), None)]
     with Client(http) as client:
         for number, one in enumerate(placed, 1):
-            points = npy.decode(client.download(one.name, "npy"), DEFAULT_LIMITS).points.astype(np.float64)
-            parts.append(thinned(points @ one.T_map_submap[:3, :3].T + one.T_map_submap[:3, 3]))
+            cloud = npy.decode(client.download(one.name, "npy"), DEFAULT_LIMITS)
+            points = cloud.points.astype(np.float64) @ one.T_map_submap[:3, :3].T + one.T_map_submap[:3, 3]
+            parts.append(MergedCloud(points, cloud.intensity).at(thinned(points)))
             report("clouds", number, len(placed))
-    return thinned(np.concatenate(parts)) if parts else np.zeros((0, 3))
+    whole = _joined(parts)
+    return whole.at(thinned(whole.points))
 
 
-def thinned(points: Points) -> Points:
-    """The first of the points (n, 3) in each voxel, in their order."""
+def _joined(parts: Sequence[MergedCloud]) -> MergedCloud:
+    points = np.concatenate([part.points for part in parts])
+    if all(part.intensity is None for part in parts):
+        return MergedCloud(points, None)
+    told = [np.zeros(len(part.points), np.float32) if part.intensity is None else part.intensity for part in parts]
+    return MergedCloud(points, np.concatenate(told))
+
+
+def thinned(points: Points) -> NDArray[np.int64]:
+    """The first of the points (n, 3) in each voxel, in their order: their rows."""
     voxels = np.floor(points / CLOUD_VOXEL_M).astype(np.int64)
     voxels -= voxels.min(axis=0, initial=0)
     width, depth = (int(voxels[:, axis].max(initial=0)) + 1 for axis in (1, 2))
     keys = (voxels[:, 0] * width + voxels[:, 1]) * depth + voxels[:, 2]
-    return np.asarray(points[np.sort(np.unique(keys, return_index=True)[1])])
+    return np.sort(np.unique(keys, return_index=True)[1])
 
 
 def merged_mesh(

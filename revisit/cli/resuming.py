@@ -6,6 +6,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from revisit.core.config import SubmapConfig
@@ -44,26 +45,36 @@ def readable_or_error(recording: Recording, index: int) -> Scan | RevisitError:
         return error
 
 
-def first_unsent(client: Client, session: Session, recording: Recording, spooled_ns: int | None = None) -> int:
+def sent_points(scan: Scan, intensity: bool) -> NDArray[np.float32]:
+    """The points as they are sent: (n, 3), or (n, 4) with intensity where that is wanted and known."""
+    if not intensity or scan.intensity is None:
+        return scan.points
+    return np.column_stack([scan.points, scan.intensity])
+
+
+def first_unsent(
+    client: Client, session: Session, recording: Recording, spooled_ns: int | None = None, *, intensity: bool = False
+) -> int:
     """The index of the first scan behind the last one that an unfinished session, or its spool, was given.
 
     `spooled_ns` is the time of the last scan that was put into the spool: the service may have refused that one. Raises
     AlreadyExists where the session ends with a scan of another recording.
     """
-    unsent = 0 if session.committed_stamp_ns is None else _last_held(client, session, recording) + 1
+    unsent = 0 if session.committed_stamp_ns is None else _last_held(client, session, recording, intensity) + 1
     if spooled_ns is None or spooled_ns <= (session.committed_stamp_ns or 0):
         return unsent
     refused = np.flatnonzero(recording.stamps_ns[unsent:] == spooled_ns)
     return unsent + int(refused[0]) + 1 if len(refused) else unsent
 
 
-def _last_held(client: Client, session: Session, recording: Recording) -> int:
+def _last_held(client: Client, session: Session, recording: Recording, intensity: bool) -> int:
     """The last stored scan. Of scans with the same time the service says which one it has. Raises AlreadyExists."""
     for index in _at_last_stamp(session, recording):
         scan = readable_or_error(recording, index)
         if isinstance(scan, RevisitError):
             continue
-        if client.holds_scan(session, session.committed_seq, scan.points, scan.T_odom_sensor, scan.stamp_ns):
+        points = sent_points(scan, intensity)
+        if client.holds_scan(session, session.committed_seq, points, scan.T_odom_sensor, scan.stamp_ns):
             return index
     message = (
         f"{session.name} ends with a scan that {recording.name} does not have at its position (scan "

@@ -30,14 +30,14 @@ Corner = tuple[int, int]
 """The lower left corner of a square, metres in x and y."""
 
 
-def squares_of(points: NDArray[np.floating]) -> Iterator[tuple[Corner, NDArray[np.floating]]]:
-    """The points (n, 3) of each square that has some, metres, by its corner."""
+def squares_of(points: NDArray[np.floating]) -> Iterator[tuple[Corner, NDArray[np.int64]]]:
+    """The rows of the points (n, 3), metres, in each square that has some, by its corner."""
     corners = (np.floor(points[:, :2] / SQUARE_M) * SQUARE_M).astype(np.int64)
     found, members = np.unique(corners, axis=0, return_inverse=True)
     order = np.argsort(members.ravel(), kind="stable")
     parts = np.split(order, np.cumsum(np.bincount(members.ravel(), minlength=len(found)))[:-1])
     for corner, part in zip(found, parts, strict=True):
-        yield (int(corner[0]), int(corner[1])), points[part]
+        yield (int(corner[0]), int(corner[1])), part
 
 
 def file_of(corner: Corner) -> str:

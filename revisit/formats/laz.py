@@ -22,11 +22,15 @@ _COMPRESSED = 0x80
 _GEO_KEYS = 34735
 _MODEL_PROJECTED, _PROJECTED_CRS = (1024, 0, 1, 1), 3072
 _EPSG = range(1024, 32767)
-_INT32 = np.iinfo(np.int32)
+_INT32, _UINT16 = np.iinfo(np.int32), np.iinfo(np.uint16)
 
 
-def encode(points: NDArray[np.floating], epsg: int | None = None) -> bytes:
+def encode(
+    points: NDArray[np.floating], epsg: int | None = None, intensity: NDArray[np.floating] | None = None
+) -> bytes:
     """A LAZ file of points (n, 3) in metres; `epsg` is the number of their projected reference system, 1024 to 32766.
+
+    The `intensity` (n,) is written in 16 bits, as the format has it: 0 to 1, or 0 to 255, become 0 to 65535.
 
     Needs the package `lazrs`. Raises BadField for other shapes, for numbers that are not finite, for a cloud wider than
     4,000 km and for another number of a system.
@@ -38,7 +42,7 @@ def encode(points: NDArray[np.floating], epsg: int | None = None) -> bytes:
     if epsg is not None and epsg not in _EPSG:
         raise BadField("the EPSG number of a projected system is 1024 to 32766", field="epsg")
     offset = np.floor(points.astype(np.float64).mean(axis=0))
-    rows, counts = _rows(points, offset)
+    rows, counts = _rows(points, intensity, offset)
     packing = lazrs.LazVlr.new_for_compression(0, 0)
     records = [] if epsg is None else [_record("LASF_Projection", _GEO_KEYS, _geo_keys(epsg))]
     records.append(_record("laszip encoded", 22204, bytes(packing.record_data())))
@@ -51,15 +55,26 @@ def encode(points: NDArray[np.floating], epsg: int | None = None) -> bytes:
     return stream.getvalue()
 
 
-def _rows(points: NDArray[np.floating], offset: NDArray[np.float64]) -> tuple[bytes, NDArray[np.float64]]:
+def _rows(
+    points: NDArray[np.floating], intensity: NDArray[np.floating] | None, offset: NDArray[np.float64]
+) -> tuple[bytes, NDArray[np.float64]]:
     """The points as point records of format 0, and their coordinates (n, 3) in millimetres from `offset`."""
     counts = np.round((points.astype(np.float64) - offset) / SCALE_M)
     if np.abs(counts).max() > _INT32.max:
         raise BadField("a LAZ file holds at most 4,000 km across", field="points")
-    rows = np.zeros(len(points), dtype=[("xyz", "<i4", 3), ("rest", "u1", _POINT_BYTES - 12)])
+    rows = np.zeros(len(points), dtype=[("xyz", "<i4", 3), ("intensity", "<u2"), ("rest", "u1", _POINT_BYTES - 14)])
     rows["xyz"] = counts
-    rows["rest"][:, 2] = 0b00001001  # the first return of one
+    if intensity is not None:
+        rows["intensity"] = _levels(intensity)
+    rows["rest"][:, 0] = 0b00001001  # the first return of one
     return rows.tobytes(), counts
+
+
+def _levels(intensity: NDArray[np.floating]) -> NDArray[np.float64]:
+    """An intensity in steps of 16 bits: LAS has it as a share of the sensor's range, 1, 255 or 65535."""
+    largest = float(intensity.max(initial=0.0))
+    span = next((one for one in (1.0, 255.0) if largest <= one), float(_UINT16.max))
+    return np.clip(np.rint(intensity.astype(np.float64) * (_UINT16.max / span)), 0, _UINT16.max)
 
 
 def _header(stored: NDArray[np.float64], count: int, offset: NDArray[np.float64], records: list[bytes]) -> bytes:

@@ -45,8 +45,15 @@ class DrivenPoses:
     T_map_submap: NDArray[np.float64]
 
 
-def encode(sessions: Mapping[str, DrivenPoses], points: NDArray[np.floating], frame: str = "map") -> bytes:
+def encode(
+    sessions: Mapping[str, DrivenPoses],
+    points: NDArray[np.floating],
+    frame: str = "map",
+    intensity: NDArray[np.floating] | None = None,
+) -> bytes:
     """An MCAP file of the poses of `sessions` by name, and of the cloud (n, 3) in metres, in `frame`.
+
+    `intensity` (n,) is that of the points, where it is known.
 
     Needs the package `mcap`. Raises BadField for other shapes and for numbers that are not finite.
     """
@@ -60,7 +67,7 @@ def encode(sessions: Mapping[str, DrivenPoses], points: NDArray[np.floating], fr
     begun_ns = min((int(one.stamps_ns[0]) for one in sessions.values() if len(one.stamps_ns)), default=0)
     for name, one in sessions.items():
         _write(writer, "foxglove.PosesInFrame", f"/map/poses/{name}", _first(one), _poses(one, frame))
-    _write(writer, "foxglove.PointCloud", "/map/cloud", begun_ns, _cloud(points, begun_ns, frame))
+    _write(writer, "foxglove.PointCloud", "/map/cloud", begun_ns, _cloud(points, intensity, begun_ns, frame))
     _write(writer, "foxglove.SceneUpdate", "/map/sessions", begun_ns, _scene(sessions, begun_ns, frame))
     writer.finish()  # type: ignore[no-untyped-call]  # the package leaves its types out here
     return stream.getvalue()
@@ -83,13 +90,17 @@ def _poses(one: DrivenPoses, frame: str) -> dict[str, Any]:
     return {"timestamp": _time(_first(one)), "frame_id": frame, "poses": poses}
 
 
-def _cloud(points: NDArray[np.floating], stamp_ns: int, frame: str) -> dict[str, Any]:
+def _cloud(
+    points: NDArray[np.floating], intensity: NDArray[np.floating] | None, stamp_ns: int, frame: str
+) -> dict[str, Any]:
     """The points from the first one's whole metres, which the pose leads to, so that float32 holds them in UTM, too."""
     origin = np.rint(np.asarray(points[:1], np.float64).sum(axis=0))
-    fields = [{"name": name, "offset": 4 * number, "type": _FLOAT32} for number, name in enumerate("xyz")]
-    data = base64.b64encode(np.ascontiguousarray(points - origin, dtype="<f4").tobytes()).decode()
+    columns = points - origin if intensity is None else np.column_stack([points - origin, intensity])
+    names = ("x", "y", "z", "intensity")[: columns.shape[1]]
+    fields = [{"name": name, "offset": 4 * number, "type": _FLOAT32} for number, name in enumerate(names)]
+    data = base64.b64encode(np.ascontiguousarray(columns, dtype="<f4").tobytes()).decode()
     pose = _pose(se3.from_yaw(0.0, origin))
-    head = {"timestamp": _time(stamp_ns), "frame_id": frame, "pose": pose, "point_stride": 12}
+    head = {"timestamp": _time(stamp_ns), "frame_id": frame, "pose": pose, "point_stride": 4 * len(names)}
     return {**head, "fields": fields, "data": data}
 
 

@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
 
-from revisit.core.errors import MalformedBody
-from revisit.formats.pointcloud2 import Encoding, PackedCloud, PointField
+from revisit.formats.pointcloud2 import PackedCloud, field_of_points
 
 TIME_FIELDS = ("t", "time", "timestamp", "offset_time", "time_stamp", "time_offset")
 """Ouster `t`, Velodyne `time`, Hesai and RoboSense `timestamp`, Livox `offset_time` and `timestamp`."""
@@ -25,8 +22,7 @@ def point_offsets(packed: PackedCloud, stamp_ns: int) -> NDArray[np.int64] | Non
     Whole numbers are nanoseconds; the unit of others is that in which they spread as a sweep does. They count from the
     stamp, or from where the stamp does. A point whose time cannot be one of the sweep has that of the stamp.
     """
-    field = next((item for item in packed.fields if item.name.lower() in TIME_FIELDS and item.count == 1), None)
-    values = None if field is None or packed.encoding != Encoding.RAW else _values(packed, field)
+    field, values = field_of_points(packed, TIME_FIELDS)
     if field is None or values is None or len(values) == 0:
         return None
     for unit_ns in _UNITS_NS if field.code.startswith("f") else _UNITS_NS[-1:]:
@@ -35,21 +31,6 @@ def point_offsets(packed: PackedCloud, stamp_ns: int) -> NDArray[np.int64] | Non
             if found is not None:
                 return found
     return None
-
-
-def _values(packed: PackedCloud, field: PointField) -> NDArray[np.float64] | None:
-    """The field of each point; None where it does not lie within the points, or these are not all there."""
-    count = packed.width * packed.height
-    try:
-        outside = field.offset < 0 or field.end > packed.point_step or count * packed.point_step != len(packed.data)
-    except MalformedBody:
-        return None
-    if outside:
-        return None
-    code = (">" if packed.big_endian else "<") + field.code
-    record = np.dtype({"names": ["t"], "formats": [code], "offsets": [field.offset], "itemsize": packed.point_step})
-    rows: NDArray[Any] = np.frombuffer(packed.data, record, count)
-    return rows["t"].astype(np.float64)
 
 
 def _of_a_sweep(offsets_ns: NDArray[np.float64]) -> NDArray[np.int64] | None:

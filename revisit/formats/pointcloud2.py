@@ -149,6 +149,30 @@ def decode_coordinates(packed: PackedCloud, limits: CloudLimits) -> NDArray[np.f
     return coordinates_from_records(*_checked(packed, limits))
 
 
+def field_of_points(
+    packed: PackedCloud, names: tuple[str, ...]
+) -> tuple[PointField | None, NDArray[np.float64] | None]:
+    """The first field with one of the names, in small letters, and its value of each point (n,) as it is given.
+
+    None for both where there is none, and for the values where the field does not lie within the points, or these are
+    not all there.
+    """
+    field = next((item for item in packed.fields if item.name.lower() in names and item.count == 1), None)
+    if field is None or packed.encoding != Encoding.RAW:
+        return field, None
+    count = packed.width * packed.height
+    try:
+        outside = field.offset < 0 or field.end > packed.point_step or count * packed.point_step != len(packed.data)
+    except MalformedBody:
+        return field, None
+    if outside:
+        return field, None
+    code = (">" if packed.big_endian else "<") + field.code
+    record = np.dtype({"names": ["it"], "formats": [code], "offsets": [field.offset], "itemsize": packed.point_step})
+    rows: NDArray[np.void] = np.frombuffer(packed.data, record, count)
+    return field, rows["it"].astype(np.float64)
+
+
 def _checked(packed: PackedCloud, limits: CloudLimits) -> tuple[memoryview, int, int, dict[str, Column]]:
     """The records of a raw packed cloud: their bytes, number, size and columns."""
     count, columns = packed.width * packed.height, _columns(packed)

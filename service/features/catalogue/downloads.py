@@ -162,7 +162,8 @@ def _points(blobs: BlobStore, record: SubmapRecord, source: SubmapSource) -> Sto
     require_scans(record)
     if source.posted:
         return unpack_cloud(blobs.get(record.tenant, CLOUD_BLOB, source.clouds[0].cloud_sha256))
-    return StoredCloud(load_submap(blobs, record, source).points, None)
+    submap = load_submap(blobs, record, source, intensity=True)
+    return StoredCloud(submap.points, submap.intensity)
 
 
 def _points_file(cloud: StoredCloud, extension: str) -> bytes:

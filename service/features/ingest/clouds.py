@@ -17,8 +17,8 @@ import zstandard
 from numpy.typing import NDArray
 
 from revisit.core.codec.container import decompressed, from_byte_planes, to_byte_planes
-from revisit.core.errors import BadField, DataLoss, FormerForm, RevisitError, TooLarge
-from revisit.core.scan import CloudReport, Points, validate_cloud
+from revisit.core.errors import DataLoss, FormerForm, RevisitError, TooLarge
+from revisit.core.scan import CloudReport, Points, validate_cloud, validate_intensity
 from revisit.formats import CloudLimits, DecodedCloud, decode_cloud, quantised
 from revisit.formats.cloud import DEFAULT_LIMITS, decode_content
 from revisit.service.capacity.in_flight import Turns
@@ -75,7 +75,8 @@ class StoredCloud:
 def accept_cloud(cloud: CloudInput, max_points: int) -> tuple[StoredCloud, CloudReport]:
     """Decode where needed, validate, and keep the finite points with their intensity.
 
-    Raises the errors of `revisit.formats.decode_cloud` and `core.scan.validate_cloud`, and TooLarge above `max_points`.
+    Raises as `revisit.formats.decode_cloud`, `core.scan.validate_cloud` and `validate_intensity` do, and TooLarge above
+    `max_points`.
     """
     decoded, sent = _decoded(cloud)
     if len(decoded.points) > max_points:
@@ -83,12 +84,7 @@ def accept_cloud(cloud: CloudInput, max_points: int) -> tuple[StoredCloud, Cloud
     points, report = validate_cloud(decoded.points)
     if decoded.intensity is None:
         return StoredCloud(points, None, sent), report
-    if decoded.intensity.shape != (len(decoded.points),):
-        raise BadField("intensity must have one value per point", field="intensity")
-    kept = decoded.intensity
-    if report.dropped_nonfinite:
-        kept = kept[np.isfinite(decoded.points).all(axis=1)]
-    return StoredCloud(points, np.ascontiguousarray(kept, dtype=np.float32), sent), report
+    return StoredCloud(points, validate_intensity(decoded.intensity, decoded.points), sent), report
 
 
 def reading_points(cloud: CloudInput) -> int:

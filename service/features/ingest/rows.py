@@ -96,25 +96,30 @@ def spread_rows(first: int, last: int) -> list[int]:
     return [first + round(index * (last - first) / (MAX_SCANS - 1)) for index in range(MAX_SCANS)]
 
 
-def load_submap(blobs: BlobStore, record: SubmapRecord, source: SubmapSource) -> Submap:
+def load_submap(blobs: BlobStore, record: SubmapRecord, source: SubmapSource, *, intensity: bool = False) -> Submap:
     """The submap with its points: its scans are read one by one, and take no room.
 
-    Raises DataLoss, EmptyCloud; NotKept where retention has removed them.
+    `intensity`: with that of the points, too, where every scan has it; descriptions need none. Raises DataLoss,
+    EmptyCloud; NotKept where retention has removed them.
     """
     require_scans(record)
-    scans = each_scan(blobs, record, source)
+    scans = each_scan(blobs, record, source, intensity=intensity)
     if source.posted:
         return Submap.from_cloud(next(scans), source.config)
     room = sum(cloud.point_count for cloud in source.clouds)
     return Submap.accumulated(scans, pose_matrix(source.T_odom_submap), source.config, room)
 
 
-def each_scan(blobs: BlobStore, record: SubmapRecord, source: SubmapSource) -> Iterator[Scan]:
+def each_scan(
+    blobs: BlobStore, record: SubmapRecord, source: SubmapSource, *, intensity: bool = False
+) -> Iterator[Scan]:
     """The scans that a submap is made of, or its one cloud, as they are asked for. Raises DataLoss."""
     for cloud in source.clouds:
+        stored = unpack_cloud(blobs.get(record.tenant, CLOUD_BLOB, cloud.cloud_sha256))
         yield Scan(
-            unpack_cloud(blobs.get(record.tenant, CLOUD_BLOB, cloud.cloud_sha256)).points,
+            stored.points,
             pose_matrix(cloud.T_odom_sensor),
             cloud.stamp_ns,
             CloudReport(0, "degenerate_plane" in record.flags),
+            stored.intensity if intensity else None,
         )

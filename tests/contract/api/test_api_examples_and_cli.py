@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import os
 import re
@@ -18,7 +19,7 @@ from revisit import Client
 from revisit.cli.app import app
 from revisit.core.geometry import se3
 from revisit.evaluation.datasets import write_kitti
-from revisit.formats import encode_npy
+from revisit.formats import decode_cloud, encode_npy
 from tests.support.fleet_in_service import fleet_in, fleet_in_two
 from tests.support.patience import PATIENCE_S
 from tests.support.service_world import cloud_points, pose
@@ -123,6 +124,34 @@ def test_a_recording_is_ingested_into_a_new_map_of_the_profile_that_is_asked_for
     assert again.exit_code == 1 and "is in the profile paper" in again.stderr
     unknown = CliRunner().invoke(app, ["ingest", str(recording), "--map", "x", *where[2:], "--profile", "thesis"])
     assert "profile must be one of product, paper" in str(unknown.exception)
+
+
+def test_intensity_is_sent_where_it_is_wanted_and_exported_with_the_map(recording, service, tmp_path):
+    laspy = pytest.importorskip("laspy", reason="in the extra `dev`: reads LAZ")
+    bright = tmp_path / "bright"
+    shutil.copytree(recording, bright)
+    for number, file in enumerate(sorted((bright / "velodyne").glob("*.bin"))):
+        rows = np.fromfile(file, "<f4").reshape(-1, 4)
+        rows[:, 3] = 10 + number
+        rows.tofile(file)
+    where = ("--map", "bright", "--grpc", service.grpc, "--json")
+    invoke("ingest", bright, *where, "--session", "dark")
+    invoke("ingest", bright, *where, "--intensity", "--limit", 12, "--no-finish")
+    assert json.loads(invoke("ingest", bright, *where, "--intensity"))["scans_stored"] == 30
+    with Client(service.http) as client:
+        files = {
+            name: np.load(io.BytesIO(client.download(client.list_submaps(f"maps/bright/sessions/{name}")[0], "npy")))
+            for name in ("dark", "bright")
+        }
+    assert (files["dark"].shape[1], files["bright"].shape[1]) == (3, 4)
+    assert set(np.rint(files["bright"][:, 3])) <= set(range(10, 40)) and len(set(np.rint(files["bright"][:, 3]))) > 2
+    at = ("--http", service.http, "--map", "bright", "--session", "bright")
+    for form in ("laz", "ply", "pcd"):
+        invoke("export", *at, "--format", form, "--out", tmp_path / f"map.{form}")
+    assert set(np.unique(np.rint(laspy.read(tmp_path / "map.laz").intensity / 257))) <= set(range(10, 40))
+    for form, kind in (("ply", "model/ply"), ("pcd", "application/vnd.pcd")):
+        told = decode_cloud((tmp_path / f"map.{form}").read_bytes(), kind).intensity
+        assert told.min() >= 9.99 and told.max() <= 39.01
 
 
 def test_drives_on_two_storeys_are_ingested_apart(recording, service, tmp_path):

@@ -82,7 +82,7 @@ def read_as(cloud: np.ndarray, columns: int, folder: Path) -> np.ndarray:
     rows[:, 3:] = np.random.default_rng(0).uniform(0, 60, (len(cloud), columns - 3))
     flat = rows.ravel()
     flat[: len(flat) // 4 * 4].tofile(folder / "scan.bin")
-    return read_velodyne(folder / "scan.bin")
+    return read_velodyne(folder / "scan.bin").points
 
 
 def reordered(pose: np.ndarray) -> np.ndarray:

@@ -22,6 +22,16 @@ def test_another_reader_finds_every_point_to_half_a_millimetre():
     assert (np.asarray(found.return_number) == 1).all() and (np.asarray(found.number_of_returns) == 1).all()
 
 
+@pytest.mark.parametrize(("span", "step"), [(1.0, 1 / 65535), (255.0, 1 / 257), (65535.0, 1.0)])
+def test_intensity_is_a_share_of_the_range_of_the_sensor_in_16_bits(span, step):
+    random = np.random.default_rng(0)
+    points, intensity = random.uniform(-9.0, 9.0, (500, 3)), random.uniform(0.0, 1.0, 500).astype(np.float32) * span
+    intensity[0] = span
+    found = laspy.read(io.BytesIO(laz.encode(points, intensity=intensity)))
+    np.testing.assert_allclose(found.intensity * step, intensity, atol=0.51 * step)
+    assert not laspy.read(io.BytesIO(laz.encode(points))).intensity.any()
+
+
 def test_the_reference_system_is_told_where_there_is_one():
     points = np.array([[500_000.0, 5_400_000.0, 110.0], [500_001.0, 5_400_002.0, 111.0]])
     keys = laspy.read(io.BytesIO(laz.encode(points, epsg=25832))).header.vlrs.get("GeoKeyDirectoryVlr")[0].geo_keys

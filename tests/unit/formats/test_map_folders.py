@@ -18,8 +18,8 @@ def test_every_point_of_a_map_lies_in_the_square_that_the_metadata_names(tmp_pat
     open3d = pytest.importorskip("open3d", reason="in the extra `evaluation`: reads the squares")
     points = np.random.default_rng(1).uniform((-55, -3, -1), (33, 47, 9), (4000, 3))
     corners = []
-    for corner, part in autoware.squares_of(points):
-        (tmp_path / autoware.file_of(corner)).write_bytes(pcd.encode(part))
+    for corner, rows in autoware.squares_of(points):
+        (tmp_path / autoware.file_of(corner)).write_bytes(pcd.encode(points[rows]))
         corners.append(corner)
     described = yaml.safe_load(autoware.metadata_of(corners))
     assert (described.pop("x_resolution"), described.pop("y_resolution")) == (20.0, 20.0)

@@ -24,7 +24,7 @@ def test_kitti_poses_come_with_their_times_in_the_order_of_time():
 
 def test_a_thinned_cloud_keeps_one_point_a_voxel():
     points = np.random.default_rng(0).uniform(-3, 3, (20_000, 3))
-    kept = thinned(points)
+    kept = points[thinned(points)]
     voxels = {tuple(voxel) for voxel in np.floor(points / CLOUD_VOXEL_M).astype(int)}
     assert {tuple(voxel) for voxel in np.floor(kept / CLOUD_VOXEL_M).astype(int)} == voxels
     assert len(kept) == len(voxels)

@@ -96,6 +96,16 @@ def test_points_that_are_dropped_take_their_intensity_with_them():
     np.testing.assert_array_equal(cloud.intensity, np.delete(intensity, 7))
 
 
+@pytest.mark.parametrize("wrong", [-0.1, 65_536.0, np.nan, np.inf])
+def test_an_intensity_out_of_range_is_refused_as_a_coordinate_is(wrong):
+    points, intensity = cloud_points(1), np.ones(300, np.float32)
+    intensity[5] = wrong
+    with pytest.raises(BadField, match="intensity must be 0 to 65,535"):
+        accept_cloud(DecodedCloud(points, intensity), max_points=1000)
+    with pytest.raises(BadField, match="intensity must be"):
+        accept_cloud(DecodedCloud(points, intensity[:200]), max_points=1000)
+
+
 def test_an_encoded_cloud_is_decoded_before_it_is_validated():
     cloud, _ = accept_cloud(EncodedCloud(encode_kitti(cloud_points(1)), KITTI), max_points=1000)
     np.testing.assert_array_equal(cloud.points, cloud_points(1))
