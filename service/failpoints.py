@@ -42,6 +42,8 @@ POINTS = {
     "optimise.after_poses": "in its transaction, the poses and verdicts of a version are added, it is not in force",
     "recall.before_commit": "rejected loops are tested again, nothing of it is committed",
     "revert.after_rows": "in its transaction, an earlier version of a map is back, nothing is committed",
+    "map_merge.after_portion": "some pairs of a merge are verified and stored, its job does not name them",
+    "map_merge.after_portion_named": "its job names the verified pairs of a merge, those from before are still there",
     "map_merge.after_evidence": "two maps are compared, nothing of the merge is committed",
     "map_merge.after_rows": "in its transaction, the sessions of a merge are copied, the map has no version of them",
     "map_merge.before_end": "in its transaction, a merge is noted, its job has not ended",

@@ -6,6 +6,7 @@ from revisit.service.domain import limits
 from revisit.service.domain.identity import TenantId
 from revisit.service.domain.records import JobRecord
 from revisit.service.domain.states import OperationState
+from revisit.service.features.operations.progress import shown
 from revisit.service.features.resources.views import PostedOperation
 from revisit.service.use_cases import UseCases
 from revisit.service.wire import names, requests
@@ -40,7 +41,7 @@ async def get_status(cases: UseCases, tenant: TenantId, _request: system_pb2.Get
 
 def operation_fields(job: JobRecord) -> Fields:
     """The fields of an Operation. Progress is that of a run: the last report of one that has ended is no news."""
-    name, progress = f"operations/{job.operation_id}", job.progress if job.state == OperationState.RUNNING else None
+    name, progress = f"operations/{job.operation_id}", shown(job) if job.state == OperationState.RUNNING else None
     return fields_of(operation_pb2.Operation, job, name=name, failure=failure_fields(job), progress=progress)
 
 

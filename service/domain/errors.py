@@ -82,7 +82,9 @@ class Unavailable(RevisitError):
 
 
 class OutOfTurn(Unavailable):
-    """A job cannot end before these operations, of its own tenant, have ended, and not all of them are under way."""
+    """A job lets others run first: it has done a portion of its work, or cannot end before these operations, of its own
+    tenant, have ended, and not all of them are under way.
+    """
 
     def __init__(self, message: str, operation_ids: Collection[str]) -> None:
         """The job is to run again once `operation_ids` may have begun."""

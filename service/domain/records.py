@@ -443,8 +443,8 @@ class JobRecord:
     2, for which nobody does. `lease_id` is drawn at random for each claim: only the holder of the newest may complete
     the job (fencing). Lease times are of the store's clock; `claimed_ms` is when the last run began. `forgiven` of the
     `attempts` ended for a reason that was none of the job's (docs/decisions/0082). `progress` is JSON (stage, done,
-    total), and `cancel_requested` says that somebody wants it to end. `request_id` and `traceparent` (W3C) name the
-    request that the job came from.
+    total, and what a merge goes on with in its next run), and `cancel_requested` says that somebody wants it to end.
+    `request_id` and `traceparent` (W3C) name the request that the job came from.
     """
 
     tenant: TenantId

@@ -10,6 +10,7 @@ from revisit.service.engines.sql.tables import map_files, map_tiles, scans, subm
 from revisit.service.ports.blobs import (
     CLOUD_BLOB,
     MAP_LAYOUT_BLOB,
+    MERGE_PORTION_BLOB,
     MESH_BLOB,
     NEURAL_MAP_BLOB,
     PLACE_BLOB,
@@ -27,8 +28,8 @@ REFERENCES: tuple[tuple[str, Column[Any]], ...] = (
 )
 """(kind of blob, column with its hash)."""
 
-NAMED_BY_NO_ROW = (QUERY_CLOUD_BLOB, MESH_BLOB)
-"""Kinds of blobs on their way between two processes: the one that asked deletes them."""
+NAMED_BY_NO_ROW = (QUERY_CLOUD_BLOB, MESH_BLOB, MERGE_PORTION_BLOB)
+"""Kinds of blobs on their way between two processes, or two runs of a job: the last one deletes them."""
 
 
 def blob_addresses() -> CompoundSelect[Any]:

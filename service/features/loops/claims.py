@@ -171,6 +171,24 @@ def verdict_evidence(verdict: PairVerdict, rules: VerificationConfig) -> Evidenc
     return {"measurement": measured, **evidence, **_thresholds(rules)}
 
 
+def stored_verdict(verdict: PairVerdict) -> Evidence:
+    """A verdict as JSON from which `verdict_of` makes the same one, to a bit; of a rejected pair only the reason."""
+    if isinstance(verdict, RejectedLoop):
+        return {"reason": verdict.reason.value, "message": verdict.message}
+    return {"measurement": _as_json(verdict.measurement)}
+
+
+def verdict_of(stored: Evidence) -> PairVerdict:
+    """The verdict of `stored_verdict`."""
+    if "measurement" not in stored:
+        return RejectedLoop(RejectionReason(stored["reason"]), message=stored["message"])
+    measured: Evidence = {name: np.nan if one is None else one for name, one in stored["measurement"].items()}
+    rivals = tuple(Hypothesis(one["overlap"], np.array(one["T_match_query"])) for one in measured.pop("rivals"))
+    for name in ("T_match_query", "covariance"):
+        measured[name] = np.array(measured[name], dtype=np.float64)
+    return VerifiedLoop(LoopMeasurement(**measured, rivals=rivals))
+
+
 def rules_of(evidence: Evidence) -> Evidence:
     """The thresholds that a verdict was given by, of its evidence."""
     return {name: evidence[name] for name in _RULES if name in evidence}

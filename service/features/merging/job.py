@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -20,6 +20,7 @@ from revisit.service.failpoints import failpoint
 from revisit.service.features.graph.join_audit import JoinAudit
 from revisit.service.features.index.comparison import Comparison
 from revisit.service.features.index.place_memory import RecalledPlace
+from revisit.service.features.merging.portions import VerdictsSoFar
 from revisit.service.features.merging.reading import MergeOrder, MergeTask, read_merge, require_comparable
 from revisit.service.features.merging.rows import NOTHING_TO_MERGE, MergeCommit
 from revisit.service.features.merging.rules import (
@@ -41,10 +42,32 @@ CANDIDATES = 3
 """Of each submap in the other map: loops are needed along the common track, not of every submap."""
 
 MOST_PAIRS = 1_000
-"""Pairs of submaps that are verified, the likest first: 0.04 s of a core each, and a job has two minutes."""
+"""Pairs of submaps that are verified, the likest first: 0.04 s of a core each."""
 
 _READINGS = 3
 """How often two maps are read again that have changed while they were compared."""
+
+
+@dataclass(frozen=True)
+class _Run:
+    """One run of a job."""
+
+    lease: Lease
+    order: MergeOrder
+    progress: Progress
+    verdicts: VerdictsSoFar
+
+    @classmethod
+    def of(cls, context: JobContext, lease: Lease) -> _Run:
+        """Of a leased job."""
+        progress = Progress(context.transactions, context.clock, lease)
+        verdicts = VerdictsSoFar(context, lease.job, progress, MOST_PAIRS)
+        return cls(lease, MergeOrder.of(lease.job.payload), progress, verdicts)
+
+    @property
+    def tenant(self) -> TenantId:
+        """Of the maps."""
+        return self.lease.job.tenant
 
 
 class MapMerging:
@@ -62,37 +85,37 @@ class MapMerging:
     def run(self, lease: Lease) -> None:
         """Read both maps, find out whether they are one, commit the merge or say why not.
 
-        Raises DescriptorModelMismatch; Unavailable where the maps change all the time.
+        Raises DescriptorModelMismatch; Unavailable where the maps change all the time; OutOfTurn after a portion.
         """
-        order = MergeOrder.of(lease.job.payload)
-        progress = Progress(self._context.transactions, self._context.clock, lease)
+        run = _Run.of(self._context, lease)
         try:
             for _ in range(_READINGS):
-                if self._ended(lease, order, progress):
+                if self._ended(run):
+                    run.verdicts.forget()
                     return
         except OperationCancelled:
             self._context.complete(lease, CANCELLED)
+            run.verdicts.forget()
             return
         raise Unavailable("the maps were changed again and again while they were compared")
 
-    def _ended(self, lease: Lease, order: MergeOrder, progress: Progress) -> bool:
+    def _ended(self, run: _Run) -> bool:
         """One reading of both maps: whether the job has ended by it."""
-        progress("READ_MAPS")
-        tenant = lease.job.tenant
-        read = partial(read_merge, policy=self._context.policy, tenant=tenant, order=order)
+        run.progress("READ_MAPS")
+        read = partial(read_merge, policy=self._context.policy, tenant=run.tenant, order=run.order)
         task = self._context.transactions.read(read).result()
         if task is None:
-            self._context.complete(lease, NOTHING_TO_MERGE)
+            self._context.complete(run.lease, NOTHING_TO_MERGE)
             return True
         require_comparable(task.target.task.map, task.source.task.map)
-        proposal = self._proposal(tenant, order, self._audited(task, progress), progress)
+        proposal = self._proposal(run, task)
         failpoint("map_merge.after_evidence")
-        if order.validate_only or proposal.refusal is not None:
-            self._context.complete(lease, proposal.report())
+        if run.order.validate_only or proposal.refusal is not None:
+            self._context.complete(run.lease, proposal.report())
             return True
-        progress("COMMIT")
+        run.progress("COMMIT")
         now_ns = self._context.clock.wall_ns()
-        commit = MergeCommit(lease, proposal, self._context.policy, now_ns)
+        commit = MergeCommit(run.lease, proposal, self._context.policy, now_ns)
         return self._context.transactions.write(commit).result()
 
     def _audited(self, task: MergeTask, progress: Progress) -> MergeTask:
@@ -100,9 +123,11 @@ class MapMerging:
         sides = (replace(one, refused=self._audit.refused(one.task, progress)) for one in (task.target, task.source))
         return MergeTask(*sides)
 
-    def _proposal(self, tenant: TenantId, order: MergeOrder, task: MergeTask, progress: Progress) -> MergeProposal:
-        config = self._context.policy.for_map(task.target.task.map)
-        crossing = tuple(self._crossing(order, task, config, progress))
+    def _proposal(self, run: _Run, read: MergeTask) -> MergeProposal:
+        config, progress = self._context.policy.for_map(read.target.task.map), run.progress
+        crossing = tuple(self._crossing(run, read, config))
+        run.verdicts.store()
+        task = self._audited(read, progress)
         best, others = chosen(crossing)
         numbers = {-place: one for place, one in enumerate(best, 1)}
         loops = tuple(track_loop(number, one) for number, one in numbers.items())
@@ -113,9 +138,9 @@ class MapMerging:
         limits, surfaces = self._merger.limits.scaled(scale), None
         refusal = loops_refusal(aligned.joining, limits)
         if refusal is None:
-            surfaces = self._surfaces(tenant, task, aligned, scale, progress)
+            surfaces = self._surfaces(run.tenant, task, aligned, scale, progress)
             refusal = surfaces_refusal(surfaces, limits)
-        return MergeProposal(order, task, crossing, numbers, aligned, surfaces, limits, refusal)
+        return MergeProposal(run.order, task, crossing, numbers, aligned, surfaces, limits, refusal)
 
     def _surfaces(
         self, tenant: TenantId, task: MergeTask, aligned: AlignedMaps, scale: float, progress: Progress
@@ -126,18 +151,20 @@ class MapMerging:
         read = partial(self._context.blobs.get, tenant, NEURAL_MAP_BLOB)
         return self._merger.compare(first, second, read, scale, progress)
 
-    def _crossing(
-        self, order: MergeOrder, task: MergeTask, config: PipelineConfig, progress: Progress
-    ) -> Iterator[CrossingLoop]:
+    def _crossing(self, run: _Run, task: MergeTask, config: PipelineConfig) -> Iterator[CrossingLoop]:
         """Candidates between both maps with the verdicts on them, the likest first."""
-        progress("FIND_CANDIDATES")
+        order = run.order
+        run.progress("FIND_CANDIDATES")
         found = self._merger.candidates(task.target.places, task.source.places, CANDIDATES)
         near = [(one, other, cosine) for one, other, cosine in found if _may_meet(order, task, one, other)][:MOST_PAIRS]
         for done, (one, other, cosine) in enumerate(near):
-            progress("VERIFY_LOOPS", done, len(near))
+            run.progress("VERIFY_LOOPS", done, len(near))
             match, query = task.target.submaps[one], task.source.submaps[other]
             expected = _expected(order, task, one, other)
-            verdict = self._verified(query, RecalledPlace(match, cosine), config, expected)
+            pose = None if expected is None else expected.tobytes()
+            rests_on = query.place_sha256, match.place_sha256, cosine, pose, config
+            verify = partial(self._verified, query, RecalledPlace(match, cosine), config, expected)
+            verdict = run.verdicts.verdict(rests_on, verify)
             yield CrossingLoop(query, match, cosine, _within(order, verdict, expected))
 
     def _verified(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import time
 from dataclasses import replace
 from functools import partial
@@ -12,11 +13,12 @@ from revisit.service.domain import limits
 from revisit.service.domain.identity import TenantId
 from revisit.service.domain.records import JobRecord
 from revisit.service.domain.states import OperationKind, OperationState
+from revisit.service.features.operations.progress import portion_of
 from revisit.service.features.resources.call_context import CallContext
 from revisit.service.features.resources.paging import Page, PageRequest, as_it_is
 from revisit.service.features.waiting.shared_poll import SharedPoll
 from revisit.service.ports.job_queue import CANCELLED
-from revisit.service.ports.storage import require_job
+from revisit.service.ports.storage import discard, require_job
 from revisit.service.ports.transactions import UnitOfWork
 
 _PAUSE_S = (0.02, 0.25)
@@ -53,7 +55,11 @@ class Operations:
         One that has ended is left as it is. Raises NotFound; BadField for one of another kind; Draining.
         """
         self._context.admission.require_running()
-        return await self._context.storage.write(partial(self._cancel, tenant=tenant, operation_id=operation_id))
+        job = await self._context.storage.write(partial(self._cancel, tenant=tenant, operation_id=operation_id))
+        kept = portion_of(job) if job.done else None
+        if kept is not None:
+            await asyncio.to_thread(discard, self._context.storage.blobs, kept)
+        return job
 
     def _cancel(self, uow: UnitOfWork, tenant: TenantId, operation_id: str) -> JobRecord:
         job = require_job(uow, tenant, operation_id, hold=True)
