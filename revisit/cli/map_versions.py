@@ -132,10 +132,11 @@ def _show_changes(found: MapDifference) -> None:
 
 
 def vda5050(map_id: str, version: MapVersion, map_hash: str, link: str) -> dict[str, Any]:
-    """The parameters of VDA 5050's downloadMap action, and the status of the version: one is ENABLED."""
-    status = "ENABLED" if version.in_force else "DISABLED"
-    linked = {"mapDownloadLink": link} if link else {}
-    return {"mapId": map_id, "mapVersion": str(version.version), "mapStatus": status, "mapHash": map_hash, **linked}
+    """The parameters of VDA 5050's downloadMap action, and the status that a downloaded map has."""
+    from revisit.sdk.vda5050 import RobotMap
+
+    known = RobotMap(map_id, str(version.version), map_hash, link)
+    return known.state() | known.parameters()
 
 
 def _chosen(client: Client, found: Map, version: int) -> MapVersion:
