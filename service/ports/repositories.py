@@ -118,6 +118,10 @@ class ScanRepository(Repository[ScanRecord], Protocol):
         """The chosen scans of a session with numbers from `first` to `last`, in order; at most the `newest` of them."""
         ...
 
+    def around(self, tenant: TenantId, map_id: str, session_id: str, first_ns: int, last_ns: int) -> list[ScanRecord]:
+        """The scans of a session from the last one up to `first_ns` to the first one from `last_ns` on, in order."""
+        ...
+
     def points_of(self, tenant: TenantId) -> int:
         """How many points the clouds of a tenant's scans have together."""
         ...

@@ -21,7 +21,7 @@ LARGER = {
     "Repository": 15,  # any kind of record
     "SubmapRepository": 24,  # nine reads that are no list of rows, each of one or two features
     "JobRepository": 18,
-    "ScanRepository": 19,
+    "ScanRepository": 20,
     "LoopRepository": 18,
     "WebhookRepository": 18,
     "AwaitedJobs": 16,

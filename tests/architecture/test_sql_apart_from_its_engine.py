@@ -75,6 +75,7 @@ CALLS = {
     "SqlRepository.some": lambda uow: uow.everything.scans.some(TENANT, 5, map_id="town"),
     "SqlRepository.delete_some": lambda uow: uow.loops.delete_some(TENANT, 5, "query_number", [1, 2]),
     "SqlRepository.delete": lambda uow: uow.loops.delete(TENANT, map_id="town"),
+    "SqlScans.around": lambda uow: uow.scans.around(TENANT, "town", "monday", 1, 9),
     "SqlScans.chosen_between": lambda uow: uow.scans.chosen_between(TENANT, "town", "monday", 1, 9),
     "SqlScans.first_seq_from": lambda uow: uow.scans.first_seq_from(TENANT, "town", "monday", 0.5),
     "SqlScans.points_of": lambda uow: uow.scans.points_of(TENANT),

@@ -389,3 +389,19 @@ def test_the_standings_of_submaps_are_read_by_map_and_by_session(write, read):
     (of_tuesday,) = read(lambda uow: uow.submaps.standings(TENANT, "town", "tuesday"))
     assert of_tuesday == all_of_it[-1] and (of_tuesday.kept_scans, of_tuesday.described_at_ns) == ("NONE", 7)
     assert read(lambda uow: uow.submaps.standings(OTHER, "town")) == []
+
+
+@pytest.mark.parametrize(
+    ("first_ns", "last_ns", "found"),
+    [(20, 20, [2]), (21, 29, [2, 3]), (21, 31, [2, 3, 4]), (0, 5, [1]), (50, 99, [5]), (0, 99, list(range(1, 6)))],
+)  # fmt: skip
+def test_scans_around_a_time_are_those_before_and_behind_it(write, read, first_ns, last_ns, found):
+    def add(uow):
+        uow.maps.add(a_map())
+        uow.sessions.add(a_session())
+        for seq in range(1, 6):
+            uow.scans.add(replace(a_scan(seq), stamp_ns=10 * seq))
+
+    write(add)
+    scans = read(lambda uow: uow.scans.around(TENANT, "town", "monday", first_ns, last_ns))
+    assert [scan.seq for scan in scans] == found

@@ -27,6 +27,7 @@ from sqlalchemy import (
     Update,
     and_,
     bindparam,
+    case,
     cast,
     delete,
     func,
@@ -237,6 +238,17 @@ class SqlScans(SqlRepository[ScanRecord]):
         within = and_(tables.scans.c.chosen, seq >= first, seq <= last)
         query = self._rows_where(asked).where(within).order_by(seq.desc()).limit(newest)
         return [self._of(row) for row in self._connection.execute(query, asked)][::-1]
+
+    def around(self, tenant: TenantId, map_id: str, session_id: str, first_ns: int, last_ns: int) -> list[ScanRecord]:
+        """See `ScanRepository`."""
+        stamp, seq = tables.scans.c.stamp_ns, tables.scans.c.seq
+        asked = of_tenant(tenant, {"map_id": map_id, "session_id": session_id})
+        last_before = func.max(case((stamp <= first_ns, stamp)))
+        first_behind = func.min(case((stamp >= last_ns, stamp)))
+        ends = self._connection.execute(select(last_before, first_behind).where(self._where(asked)), asked).one()
+        since, until = (given if end is None else end for end, given in zip(ends, (first_ns, last_ns), strict=True))
+        query = self._rows_where(asked).where(stamp >= since, stamp <= until).order_by(seq)
+        return [self._of(row) for row in self._connection.execute(query, asked)]
 
     def points_of(self, tenant: TenantId) -> int:
         """See `ScanRepository`."""

@@ -131,7 +131,8 @@ def _sensor_poses(uow: UnitOfWork, tenant: TenantId, key: SessionKey, anchors: S
     require_session(uow, tenant, key)
     if all(one.T_odom_sensor is not None for one in anchors):
         return [se3.validated(one.T_odom_sensor) for one in anchors]  # type: ignore[arg-type]  # none of them is None
-    scans = uow.scans.find(tenant, map_id=key.map_id, session_id=key.session_id)
+    stamps_ns = [one.stamp_ns for one in anchors if one.T_odom_sensor is None]
+    scans = uow.scans.around(tenant, key.map_id, key.session_id, min(stamps_ns), max(stamps_ns))
     drive = DrivePoses([scan.stamp_ns for scan in scans], [scan.T_odom_sensor for scan in scans])
     return [_pose_of(drive, one) for one in anchors]
 
