@@ -100,6 +100,11 @@ def read_form(blob: bytes, *, surface: bool) -> tuple[PlaceHead, PlaceContents]:
     return head, PlaceContents(*keypoints_of(*coded), signed, points, normals, standing_count)
 
 
+def read_head(blob: bytes) -> PlaceHead:
+    """What a place of `write_form` says of itself. Raises DataLoss for an unusable head; the rest is not looked at."""
+    return unpack_head(blob[len(MAGIC) :])[0]
+
+
 def directions(rows: Array) -> Array:
     """The rows (n, l) as unit vectors; zero rows stay."""
     return np.asarray(rows / np.maximum(np.linalg.norm(rows, axis=1, keepdims=True), 1e-12), dtype=np.float32)

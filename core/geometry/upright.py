@@ -29,6 +29,8 @@ MIN_SCORE = 0.25
 """The share of surfaces that must be level or upright: of real scans 0.36 to 0.9 are."""
 RIVAL_RAD = np.radians(12.0)
 RIVAL_SHARE = 0.95
+_AT_ONCE = 32
+"""Directions whose cosines with all normals fit into a processor's cache."""
 
 
 @dataclass(frozen=True)
@@ -119,10 +121,14 @@ def _cap(count: int) -> Array:
 
 def _scores(directions: Array, normals: Array) -> Array:
     """For each direction (d, 3) the share of normals (n, 3) along it or square to it, within some 3 degrees, softly."""
-    cosines = np.minimum(np.abs(directions @ normals.T), 1.0)
-    level = np.exp((cosines**2 - 1.0) / (2.0 * TOLERANCE_RAD**2))
-    upright = np.exp(-(cosines**2) / (2.0 * TOLERANCE_RAD**2))
-    return np.asarray((level + upright).mean(axis=1))
+    scores, narrow = np.empty(len(directions)), 0.5 / TOLERANCE_RAD**2
+    for start in range(0, len(directions), _AT_ONCE):
+        some = slice(start, start + _AT_ONCE)
+        cosines = np.minimum(np.abs(directions[some] @ normals.T), 1.0)
+        upright = np.exp(-narrow * cosines**2)
+        # exp(narrow (cosine^2 - 1)): how near it is to level
+        scores[some] = (upright + np.exp(-narrow) / upright).mean(axis=1)
+    return scores
 
 
 def _refined(up: Array, normals: Array) -> Array:

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import hashlib
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
-from revisit.core.codec.place import PlaceContents, read_form, write_form
+from revisit.core.codec.place import PlaceContents, read_form, read_head, write_form
 from revisit.core.codec.place_head import PlaceHead
 from revisit.core.config import VerificationConfig
 from revisit.core.geometry.level_frame import LevelFrame
@@ -74,6 +74,10 @@ class Place(Keeping):
             **vars(contents), model=head.model, frame=head.frame, spacing=head.spacing,
             scan_disagreement=head.scan_disagreement,
         )  # fmt: skip
+
+    def as_stored(self, blob: bytes) -> Place:
+        """What `from_blob` makes of `blob`, the stored form of this place, without reading it: its frame is rounded."""
+        return replace(self, frame=read_head(blob).frame)
 
     def _contents(self) -> PlaceContents:
         return PlaceContents(**{field.name: getattr(self, field.name) for field in fields(PlaceContents)})

@@ -14,7 +14,7 @@ from revisit.core.errors import DataLoss
 from revisit.core.geometry.se3 import Matrix4
 from revisit.core.merge.evidence import MergeEvidence, MergeLimits
 from revisit.service.adapters.core_map_optimiser import NamedGraph
-from revisit.service.ports.map_merger import AlignedMaps, DescribedPlaces, PlacedSubmapMap
+from revisit.service.ports.map_merger import AlignedMaps, DescribedPlaces, PlacedSubmapMap, Surfaces
 from revisit.service.ports.map_optimiser import MapGraph, Progress, TrackLoop
 
 if TYPE_CHECKING:
@@ -85,11 +85,15 @@ class CoreMapMerger:
             placed.append((load(ends[0].sha256, ends[0].T_map_submap), load(ends[1].sha256, ends[1].T_map_submap)))
         return replace(compare_pairs(placed), changes=tuple(changes_between(placed)))
 
+    def surfaces(self, read: Callable[[int], bytes]) -> Surfaces:
+        """See `MapMerger`."""
+        return _loader(read)
+
     def audit(
         self,
         first: Mapping[int, Matrix4],
         second: Mapping[int, Matrix4],
-        read: Callable[[int], bytes],
+        surfaces: Surfaces,
         scale: float,
         most: int,
         progress: Progress,
@@ -100,12 +104,11 @@ class CoreMapMerger:
         poses = [np.stack(list(group.values())) for group in (first, second)]
         rows = pairs_in_reach(poses[0][:, :3, 3], poses[1][:, :3, 3], REACH_M * scale, most=most)
         numbers = list(first), list(second)
-        load = _loader(read)
         placed = []
         for done, (one, other) in enumerate(rows):
             progress("COMPARE_SURFACES", done, len(rows))
             with suppress(DataLoss):
-                ends = (load(numbers[0][one], poses[0][one]), load(numbers[1][other], poses[1][other]))
+                ends = (surfaces(numbers[0][one], poses[0][one]), surfaces(numbers[1][other], poses[1][other]))
                 placed.append(ends)
         return None if rows and not placed else compare_pairs(placed)
 

@@ -5,6 +5,7 @@ with the first submap of a map in the form of the paper.
 from __future__ import annotations
 
 import dataclasses
+from collections import OrderedDict
 from collections.abc import Sequence
 from functools import lru_cache
 
@@ -48,7 +49,7 @@ class CoreRecogniser:
     def __init__(self) -> None:
         """The product's are loaded now, those of another profile when it is asked for first."""
         self._models = {Profile.PRODUCT: profile_models(Profile.PRODUCT)}
-        self._read = lru_cache(maxsize=PLACES_READ)(Place.from_blob)
+        self._read = ReadPlaces(PLACES_READ)
         self._place = lru_cache(maxsize=PLACES_PREPARED)(self._unprepared)
 
     def model_of(self, profile: Profile) -> str:
@@ -71,9 +72,11 @@ class CoreRecogniser:
             fitted = fit(submap, models, config)
             del submap  # 20 MB of points, where the caller does not hold them either
             described = describe_fitted(fitted, models, config)
+        place = described.place.to_blob()
+        self._read.keep(place, described.place.as_stored(place))  # it is compared next
         return SubmapDescription(
             descriptor=described.descriptor.vector,
-            place=described.place.to_blob(),
+            place=place,
             neural_map=described.neural_map.to_blob(),
             flags=described.flags,
             timings_s=timings_s,
@@ -111,6 +114,29 @@ class CoreRecogniser:
     def _unprepared(self, blob: bytes) -> Place:
         """A place of its own over the arrays of the one that was read: derived data goes with it."""
         return dataclasses.replace(self._read(blob))
+
+
+class ReadPlaces:
+    """Unpacked places by their stored form: those that were used last."""
+
+    def __init__(self, most: int) -> None:
+        """At most so many."""
+        self._most = most
+        self._places: OrderedDict[bytes, Place] = OrderedDict()
+
+    def __call__(self, blob: bytes) -> Place:
+        """The place. Raises FormerForm, DataLoss."""
+        known = self._places.pop(blob, None)
+        place = Place.from_blob(blob) if known is None else known
+        self.keep(blob, place)
+        return place
+
+    def keep(self, blob: bytes, place: Place) -> None:
+        """Keep a place that is known otherwise."""
+        self._places[blob] = place
+        self._places.move_to_end(blob)
+        while len(self._places) > self._most:
+            self._places.popitem(last=False)
 
 
 def load_recogniser() -> CoreRecogniser:

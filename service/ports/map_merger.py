@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +12,12 @@ from numpy.typing import NDArray
 from revisit.core.geometry.se3 import Matrix4
 from revisit.core.merge.evidence import JoiningLoops, MergeEvidence, MergeLimits
 from revisit.service.ports.map_optimiser import MapGraph, OptimisedMap, Progress, TrackLoop
+
+if TYPE_CHECKING:
+    from revisit.core.merge.fused import PlacedMap
+
+Surfaces: TypeAlias = "Callable[[int, Matrix4], PlacedMap]"
+"""The neural map of a submap by number, placed at T_map_submap (4, 4). Raises DataLoss where there is none."""
 
 
 @dataclass(frozen=True)
@@ -74,18 +80,25 @@ class MapMerger(Protocol):
         """Points of each against the field and the free space of the other. `read` gets a neural map by its hash."""
         ...
 
+    def surfaces(self, read: Callable[[int], bytes]) -> Surfaces:
+        """Surfaces for audits that ask for the same submaps again: the last ones stay decoded as long as it is held.
+
+        `read` gets the neural map of a submap, and raises DataLoss where there is none.
+        """
+        ...
+
     def audit(
         self,
         first: Mapping[int, Matrix4],
         second: Mapping[int, Matrix4],
-        read: Callable[[int], bytes],
+        surfaces: Surfaces,
         scale: float,
         most: int,
         progress: Progress,
     ) -> MergeEvidence | None:
         """The surfaces alone, by at most `most` pairs of submaps spread over the whole overlap; changes are not sought.
 
-        T_map_submap (4, 4) of each group's submaps by number. `read` gets the neural map of one, and raises DataLoss
-        where there is none: such pairs do not count. None where submaps lie near each other and no pair can be read.
+        T_map_submap (4, 4) of each group's submaps by number. Pairs with a lost neural map do not count. None where
+        submaps lie near each other and no pair can be read.
         """
         ...

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import replace
 
 import pytest
 
 from revisit.core.merge.evidence import MergeEvidence
 from revisit.core.pose_graph.graph import GraphState
+from revisit.service.adapters import core_neural_maps
 from revisit.service.domain.policy import Policy
 from revisit.service.domain.states import LoopEventKind
 from revisit.service.features.corrections.job import EarlyCorrections
@@ -27,7 +29,7 @@ class Walled(FakeMerger):
         self.alone = alone
         self.asked: list[tuple[set[int], set[int], int]] = []
 
-    def audit(self, first, second, read, scale, most, progress) -> MergeEvidence:
+    def audit(self, first, second, surfaces, scale, most, progress) -> MergeEvidence:
         """Nothing is read."""
         sides = set(first), set(second)
         self.asked.append((*sides, most))
@@ -103,6 +105,25 @@ async def test_the_price_of_a_version_is_shared_by_its_joins():
     world.merger = Walled(set())
     await optimised(world)
     assert [most for *_, most in world.merger.asked] == [12] * 8
+
+
+async def test_a_neural_map_is_read_once_for_the_joins_of_a_version(monkeypatch):
+    world, read = memory_world(), Counter()
+    fleet_in(world, "town", sessions=3, submaps=8, per_pair=4)
+
+    class Reading(Walled):
+        def audit(self, first, second, surfaces, scale, most, progress) -> MergeEvidence:
+            for number, T_map_submap in (first | second).items():
+                surfaces(number, T_map_submap)
+            return super().audit(first, second, surfaces, scale, most, progress)
+
+        def surfaces(self, read_one):
+            return super().surfaces(lambda number: read.update([number]))
+
+    monkeypatch.setattr(core_neural_maps, "decoded", lambda _: None)
+    world.merger = Reading(set())
+    await optimised(world)
+    assert len(world.merger.asked) == 2 and len(read) == 24 and set(read.values()) == {1}
 
 
 async def test_loops_ahead_of_a_version_move_no_session_that_surfaces_keep_apart(world):

@@ -16,9 +16,9 @@ class FakeMerger(CoreMapMerger):
         progress("COMPARE_SURFACES", 0, 1)
         return MergeEvidence(5_000, 0.02, 0.01, 0.001, 0.8, (CAR,))
 
-    def audit(self, first, second, read, scale, most, progress) -> MergeEvidence:
+    def audit(self, first, second, surfaces, scale, most, progress) -> MergeEvidence:
         """Nothing is read."""
-        return self.compare((), (), read, scale, progress)
+        return self.compare((), (), surfaces, scale, progress)
 
 
 class EasyMerger(FakeMerger):

@@ -88,6 +88,7 @@ class _Audit:
         self._progress = progress
         self._scale = context.policy.for_map(task.map).scene_scale
         self._allowed: set[frozenset[Sessions]] = set()
+        self._surfaces = merger.surfaces(partial(self._read, TenantId(task.map.tenant)))
 
     def refused(self, optimised: OptimisedMap) -> tuple[RefusedJoin, ...]:
         """The joins of a solution that the surfaces speak against.
@@ -120,8 +121,7 @@ class _Audit:
 
     def _compared(self, optimised: OptimisedMap, sides: frozenset[Sessions], most: int) -> MergeEvidence | None:
         first, second = (_poses(self._task, optimised, side) for side in sorted(sides, key=min))
-        read = partial(self._read, TenantId(self._task.map.tenant))
-        return self._merger.audit(first, second, read, self._scale, most, self._progress)
+        return self._merger.audit(first, second, self._surfaces, self._scale, most, self._progress)
 
     def _read(self, tenant: TenantId, number: int) -> bytes:
         """The neural map of a submap. Raises DataLoss where it has none, or is gone."""

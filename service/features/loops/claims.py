@@ -9,6 +9,7 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import json
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -278,11 +279,12 @@ def _json_value(value: Any) -> Any:
     if isinstance(value, Hypothesis):
         return _as_json(value)
     if isinstance(value, np.ndarray):
-        return [_json_value(item) for item in value.tolist()]
+        numbers = value.tolist()
+        return numbers if np.isfinite(value).all() else [_json_value(item) for item in numbers]
     if isinstance(value, list | tuple):
         return [_json_value(item) for item in value]
     if isinstance(value, np.generic):
         return _json_value(value.item())
     if isinstance(value, float):
-        return value if np.isfinite(value) else None
+        return value if math.isfinite(value) else None
     return value

@@ -43,6 +43,19 @@ def test_a_place_survives_its_blob_bit_by_bit() -> None:
     assert restored.to_blob() == blob
 
 
+@pytest.mark.parametrize("scale", [1.0, 0.25])
+def test_a_place_as_it_is_stored_is_known_without_reading_it(scale: float) -> None:
+    described = replace(stored(), frame=LevelFrame.from_upright(se3.exp([1.0, 2.0, 3.0, 0.1, -0.2, 0.05]), scale))
+    blob = described.to_blob()
+    known, read = described.as_stored(blob), Place.from_blob(blob)
+    for name in ("keypoints", "orientations", "descriptors", "parity", "points", "normals"):
+        one, other = getattr(known, name), getattr(read, name)
+        assert one.tobytes() == other.tobytes() and (one.dtype, one.strides) == (other.dtype, other.strides), name
+    assert known.frame.rotation.tobytes() == read.frame.rotation.tobytes()
+    assert (known.frame.scale, known.spacing, known.model) == (read.frame.scale, read.spacing, read.model)
+    assert known.scan_disagreement == read.scan_disagreement and known.standing_count == read.standing_count
+
+
 @pytest.mark.parametrize(
     "motion", [[0, 0, 0, 0, 0, 0], [1.0, 2.0, 3.0, 0.1, -0.2, 0.05], [-5e5, 0, 7, 0, 0, 3.1], [0, 0, 0, 0, 3.14159, 0]]
 )

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from revisit.core.geometry import se3
+from revisit.core.geometry import se3, upright
 from revisit.core.geometry.upright import estimate_up, surface_normals
 from tests.support.real_data import needs_real_data, unpacked_drive
 
@@ -97,3 +97,12 @@ def test_single_scans_of_a_car_are_levelled_to_a_degree_and_a_half(tmp_path: Pat
         found = estimate_up(se3.apply(turn, scan.points))
         assert found is not None
         assert np.degrees(np.arccos(found.up @ turn[:3, :3] @ scan.T_odom_sensor[2, :3])) < 1.5
+
+
+def test_directions_that_are_scored_some_at_once_are_scored_as_all_together() -> None:
+    normals, directions = RNG.normal(size=(2, 70, 3))
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    cosines = np.abs(directions @ normals.T)
+    level, square = np.exp((cosines**2 - 1.0) / (2.0 * 0.05**2)), np.exp(-(cosines**2) / (2.0 * 0.05**2))
+    np.testing.assert_allclose(upright._scores(directions, normals), (level + square).mean(axis=1), rtol=1e-12)

@@ -92,6 +92,13 @@ def test_a_map_overrides_only_what_it_names():
     assert policy.for_map(a_map()).loop == policy.pipeline.loop
 
 
+def test_the_parameters_of_a_map_are_made_once_for_its_overrides():
+    policy = Policy()
+    assert policy.for_map(a_map()) is policy.for_map(a_map())
+    assert policy.for_map(replace(a_map(), stride_m=2.5)).submap.stride == 2.5
+    assert policy.for_map(replace(a_map(), min_score=0.7)).verification.min_score == 0.7
+
+
 @pytest.mark.parametrize("value", ["a", "A9", "a.b_c-d", "x" * 64])
 def test_good_ids_are_taken(value):
     assert validated_id(value, "map_id") == value
