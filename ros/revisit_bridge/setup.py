@@ -20,5 +20,5 @@ setup(
     maintainer_email="maintainers@revisit.invalid",
     description="Streams LiDAR scans to Revisit and publishes its loop closures and corrections.",
     license="Apache-2.0",
-    entry_points={"console_scripts": [f"bridge = {NAME}.node:main"]},
+    entry_points={"console_scripts": [f"bridge = {NAME}.node:main", f"lifecycle_bridge = {NAME}.lifecycle_node:main"]},
 )

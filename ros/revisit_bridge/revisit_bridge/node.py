@@ -1,10 +1,11 @@
-"""The ROS 2 node: subscriptions, timers and publishers around `bridge`. The only module that imports rclpy."""
+"""The ROS 2 node: subscriptions, timers and publishers around `bridge`. With `lifecycle_node` all that needs rclpy."""
 
 from __future__ import annotations
 
 import logging
 import threading
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -70,15 +71,29 @@ TYPES = MessageTypes(
 )  # fmt: skip
 
 
-class BridgeNode(Node):
-    """`revisit_bridge`."""
+NAME = "revisit_bridge"
 
-    def __init__(self) -> None:
-        super().__init__("revisit_bridge")
-        logging.getLogger("revisit_bridge").addHandler(_RosLog(self.get_logger()))
-        logging.getLogger("revisit_bridge").setLevel(logging.INFO)
+
+class BridgeParts:
+    """The bridge of a node, its topics, services and timers; mixed into a class of rclpy's nodes.
+
+    `configure` makes the bridge, which sends scans that wait; `activate` lets clouds in and news out, `deactivate` ends
+    that, and `clean_up` lets go of the bridge: scans that are not sent stay on the disk.
+    """
+
+    bridge: Bridge | None = None
+
+    def declare(self: Any) -> None:
+        """The parameters and the log."""
+        logging.getLogger(NAME).addHandler(_RosLog(self.get_logger()))
+        logging.getLogger(NAME).setLevel(logging.INFO)
         for item in Parameters.declared():
             self.declare_parameter(item.name, item.default)
+        self.add_on_set_parameters_callback(self._set)
+        self._active: list[tuple[Any, Any]] = []
+
+    def configure(self: Any) -> None:
+        """Raises ValueError where a parameter cannot be."""
         values = {item.name: self.get_parameter(item.name).value for item in Parameters.declared()}
         self.parameters = Parameters.of(values)
         self._tf = Buffer(cache_time=Duration(seconds=TF_HISTORY_S))
@@ -89,10 +104,33 @@ class BridgeNode(Node):
         self.bridge = self._bridge()
         self.grids = MapGrids(ServiceMap(self._client, f"maps/{self.parameters.map_id}"), self.parameters.grid_m)
         self._publish()
-        self._subscribe()
         self.bridge.start()
 
-    def _bridge(self) -> Bridge:
+    def activate(self: Any) -> None:
+        """Subscribe, offer the services, start the timers."""
+        self._subscribe()
+        self._offer()
+
+    def deactivate(self: Any) -> None:
+        """Take no cloud in and publish nothing."""
+        for destroy, made in self._active:
+            destroy(made)
+        self._active.clear()
+
+    def clean_up(self: Any) -> None:
+        """Stop; scans that are not sent stay on the disk."""
+        if self.bridge is None:
+            return
+        self.grids.close()
+        self.bridge.close()
+        self.bridge = None
+        self._client.close()
+        self._listener.unregister()
+        for publisher in (self._loops, self._graph, self._map, self._relocalised, self._status):
+            if publisher is not None:
+                self.destroy_publisher(publisher)
+
+    def _bridge(self: Any) -> Bridge:
         own = self.parameters
         folder = Path(own.spool_dir).expanduser() if own.spool_dir else Path.home() / ".revisit" / "spool"
         self._client = Client.grpc(own.service)
@@ -103,27 +141,31 @@ class BridgeNode(Node):
         state_file, relocaliser = folder / "last_scan.json", Relocaliser(self._conversation)
         return Bridge(own, self._lookup, outbox, answers, boot_id(), state_file, time.monotonic, relocaliser)
 
-    def _conversation(self, own_session: str) -> Any:
+    def _conversation(self: Any, own_session: str) -> Any:
         own = self.parameters
         return self._client.relocalise(own.map_id, storey=own.storey or None, exclude_session=own_session or None)
 
-    def _subscribe(self) -> None:
+    def _subscribe(self: Any) -> None:
         own = self.parameters
-        self.create_subscription(PointCloud2, own.cloud_topic, self.bridge.take_cloud, qos_profile_sensor_data)
+        inputs = [(PointCloud2, own.cloud_topic, self.bridge.take_cloud)]
         if own.odometry_topic:
-            self.create_subscription(Odometry, own.odometry_topic, self.bridge.take_odometry, qos_profile_sensor_data)
-        self.create_service(Trigger, "~/end_session", self._end_session)
-        self.create_service(Trigger, "~/relocalise", self._relocalise)
-        self.create_service(Trigger, "~/optimise_map", self._optimise_map)
-        self.create_service(Trigger, "~/save_map", self._save_map)
-        self.add_on_set_parameters_callback(self._set)
-        self.create_timer(WORK_S, self.bridge.work)
-        self.create_timer(PUBLISH_S, self._tell)
-        self.create_timer(STATUS_S, self._tell_status)
-        if own.grid_m:
-            self.create_timer(own.grid_every_s, self._follow_map)
+            inputs.append((Odometry, own.odometry_topic, self.bridge.take_odometry))
+        for kind, topic, take in inputs:
+            made = self.create_subscription(kind, topic, take, qos_profile_sensor_data)
+            self._active.append((self.destroy_subscription, made))
 
-    def _publish(self) -> None:
+    def _offer(self: Any) -> None:
+        own = self.parameters
+        for name in ("end_session", "relocalise", "optimise_map", "save_map"):
+            made = self.create_service(Trigger, f"~/{name}", getattr(self, f"_{name}"))
+            self._active.append((self.destroy_service, made))
+        timers = [(WORK_S, self.bridge.work), (PUBLISH_S, self._tell), (STATUS_S, self._tell_status)]
+        if own.grid_m:
+            timers.append((own.grid_every_s, self._follow_map))
+        for period_s, work in timers:
+            self._active.append((self.destroy_timer, self.create_timer(period_s, work)))
+
+    def _publish(self: Any) -> None:
         kept = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         self._loops = self.create_publisher(LoopClosure, "~/loop_closures", QoSProfile(depth=100))
         self._graph = self.create_publisher(PoseGraph, "~/pose_graph", kept)
@@ -131,7 +173,7 @@ class BridgeNode(Node):
         self._relocalised = self.create_publisher(PoseWithCovarianceStamped, "~/relocalised", kept)
         self._status = self.create_publisher(DiagnosticArray, "/diagnostics", QoSProfile(depth=1))
 
-    def _lookup(self, target: str, source: str, stamp: int) -> se3.Matrix4 | Unknown:
+    def _lookup(self: Any, target: str, source: str, stamp: int) -> se3.Matrix4 | Unknown:
         """See `pairing.Mountings`. tf2 tells apart neither too early nor unknown: the cloud's own patience ends it."""
         try:
             found = self._tf.lookup_transform(target, source, RosTime(nanoseconds=stamp)).transform
@@ -139,7 +181,7 @@ class BridgeNode(Node):
             return Unknown.NOT_YET
         return matrix(found.translation, found.rotation)
 
-    def _tell(self) -> None:
+    def _tell(self: Any) -> None:
         """Publish what is new, and the transform that holds."""
         for news in self.bridge.news():
             self._tell_news(news)
@@ -159,7 +201,7 @@ class BridgeNode(Node):
         frames = self.parameters.map_frame, self.bridge.odom_frame
         self._broadcaster.sendTransform(transform_message(TYPES, correction, frames, stamp_ns))
 
-    def _tell_news(self, news: News) -> None:
+    def _tell_news(self: Any, news: News) -> None:
         for loop in news.found:
             self._loops.publish(loop_message(TYPES, loop))
         for loop in news.revoked:
@@ -168,7 +210,7 @@ class BridgeNode(Node):
         self._graph.publish(pose_graph_message(TYPES, news.answer, self.bridge.odom_frame, now_ns))
         self._correction, self._corrected_session = news.answer.correction, news.answer.session
 
-    def _tell_relocalisation(self, answer: Relocalisation) -> None:
+    def _tell_relocalisation(self: Any, answer: Relocalisation) -> None:
         """Publish the one pose; say what else was told."""
         now_ns = self.get_clock().now().nanoseconds
         placed = answer.poses[0] if answer.state == "PLACED" else None
@@ -178,31 +220,31 @@ class BridgeNode(Node):
         told = f"{answer.reason or answer.state}, {len(answer.poses)} poses"
         self.get_logger().info(f"relocalisation after {answer.travelled_m:.0f} m: {told}")
 
-    def _tell_status(self) -> None:
+    def _tell_status(self: Any) -> None:
         now_ns = self.get_clock().now().nanoseconds
         state, left_out = self.bridge.outbox.state, self.bridge.left_out
         self._status.publish(status_message(TYPES, state, self.bridge.problem, left_out, now_ns))
 
-    def _end_session(self, _: Any, response: Any) -> Any:
+    def _end_session(self: Any, _: Any, response: Any) -> Any:
         self.bridge.end_session()
         response.success, response.message = True, "the next scan begins a new session"
         return response
 
-    def _relocalise(self, _: Any, response: Any) -> Any:
+    def _relocalise(self: Any, _: Any, response: Any) -> Any:
         response.success = self.bridge.relocalise()
         response.message = "the scans to come are asked about" if response.success else "that is being asked already"
         return response
 
-    def _follow_map(self) -> None:
+    def _follow_map(self: Any) -> None:
         self.grids.follow(self.bridge.outbox.state.session)
 
-    def _optimise_map(self, _: Any, response: Any) -> Any:
+    def _optimise_map(self: Any, _: Any, response: Any) -> Any:
         """Ask for a new version of the map, in a thread: the transform and the grid follow it."""
         threading.Thread(target=self._ask_to_optimise, name="revisit optimise", daemon=True).start()
         response.success, response.message = True, "asked for; the log tells the outcome"
         return response
 
-    def _ask_to_optimise(self) -> None:
+    def _ask_to_optimise(self: Any) -> None:
         try:
             operation = self._client.optimise_map(f"maps/{self.parameters.map_id}")
         except ApiError as error:
@@ -210,7 +252,7 @@ class BridgeNode(Node):
         else:
             self.get_logger().info(f"{operation.name} computes a new version of the map")
 
-    def _save_map(self, _: Any, response: Any) -> Any:
+    def _save_map(self: Any, _: Any, response: Any) -> Any:
         """The grid that was published last, as files for map_server."""
         made, own = self.grids.made, self.parameters
         if made is None:
@@ -226,8 +268,10 @@ class BridgeNode(Node):
         response.success, response.message = True, f"version {made.version} in {saved}"
         return response
 
-    def _set(self, parameters: Any) -> Any:
+    def _set(self: Any, parameters: Any) -> Any:
         """The storey can be set while the node runs, its other parameters are read when it starts."""
+        if self.bridge is None:
+            return SetParametersResult(successful=True)
         values = {parameter.name: parameter.value for parameter in parameters}
         fixed = [item.name for item in Parameters.declared() if item.name in values and item.name != "storey"]
         if fixed:
@@ -239,11 +283,20 @@ class BridgeNode(Node):
             return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)
 
+
+class BridgeNode(BridgeParts, Node):
+    """`revisit_bridge`: active from its start to its end."""
+
+    def __init__(self) -> None:
+        super().__init__(NAME)
+        self.declare()
+        self.configure()
+        self.activate()
+
     def destroy_node(self) -> None:
         """Stop; scans that are not sent stay on the disk."""
-        self.grids.close()
-        self.bridge.close()
-        self._client.close()
+        self.deactivate()
+        self.clean_up()
         super().destroy_node()
 
 
@@ -260,10 +313,10 @@ class _RosLog(logging.Handler):
         tell(record.getMessage())
 
 
-def main() -> None:
+def main(make: Callable[[], Any] = BridgeNode) -> None:
     """`ros2 run revisit_bridge bridge`."""
     rclpy.init()
-    node = BridgeNode()
+    node = make()
     try:
         rclpy.spin(node)
     except (KeyboardInterrupt, ExternalShutdownException):

@@ -42,28 +42,53 @@ class FakeNode:
 
     def create_subscription(self, kind, topic, callback, qos):
         self.subscriptions_made[topic] = (kind, callback)
+        return topic
+
+    def destroy_subscription(self, topic):
+        del self.subscriptions_made[topic]
 
     def create_publisher(self, kind, topic, qos):
         self.publishers_made[topic] = published = []
-        return SimpleNamespace(publish=published.append)
+        return SimpleNamespace(publish=published.append, topic=topic)
+
+    def destroy_publisher(self, publisher):
+        del self.publishers_made[publisher.topic]
 
     def create_service(self, kind, name, callback):
         self.services[name] = callback
+        return name
+
+    def destroy_service(self, name):
+        del self.services[name]
 
     def add_on_set_parameters_callback(self, callback):
         self.set_parameters = callback
 
     def create_timer(self, period, callback):
         self.timers.append(callback)
+        return callback
+
+    def destroy_timer(self, callback):
+        self.timers.remove(callback)
 
     def get_logger(self):
-        return SimpleNamespace(info=self.logged.append, warning=self.logged.append)
+        return SimpleNamespace(info=self.logged.append, warning=self.logged.append, error=self.logged.append)
 
     def get_clock(self):
         return SimpleNamespace(now=lambda: SimpleNamespace(nanoseconds=50 * SECOND))
 
     def destroy_node(self):
         pass
+
+
+class FakeLifecycleNode(FakeNode):
+    """What is used of rclpy.lifecycle.LifecycleNode: transitions of its own entities."""
+
+    def on_activate(self, state):
+        return "success"
+
+    def on_deactivate(self, state):
+        return "success"
 
 
 class NoTransform(Exception):
@@ -108,13 +133,16 @@ def made(monkeypatch, tmp_path):
     module("rclpy.duration", Duration=lambda seconds: seconds)
     module("rclpy.executors", ExternalShutdownException=NoTransform)
     module("rclpy.node", Node=FakeNode)
+    answers = SimpleNamespace(SUCCESS="success", FAILURE="failure")
+    module("rclpy.lifecycle", LifecycleNode=FakeLifecycleNode, TransitionCallbackReturn=answers)
     qos = {"DurabilityPolicy": SimpleNamespace(TRANSIENT_LOCAL=1), "QoSProfile": lambda **k: k}
     module("rclpy.qos", **qos, qos_profile_sensor_data="sensor data")
     module("rclpy.time", Time=lambda nanoseconds: nanoseconds)
     broadcaster = lambda node: SimpleNamespace(sendTransform=sent.append)  # noqa: E731
     module("tf2_ros", Buffer=FakeBuffer, TransformBroadcaster=broadcaster, TransformException=NoTransform,
-           TransformListener=lambda *_: None)  # fmt: skip
-    monkeypatch.delitem(sys.modules, "revisit_bridge.node", raising=False)
+           TransformListener=lambda *_: SimpleNamespace(unregister=lambda: None))  # fmt: skip
+    for name in ("revisit_bridge.node", "revisit_bridge.lifecycle_node"):
+        monkeypatch.delitem(sys.modules, name, raising=False)
     nothing_listens = "127.0.0.1:1"
     monkeypatch.setattr(FakeNode, "overrides", {
         "service": nothing_listens, "odometry_topic": "odometry", "spool_dir": str(tmp_path), "robot_id": "spot",
@@ -124,6 +152,7 @@ def made(monkeypatch, tmp_path):
     yield ros, node, sent
     node.destroy_node()
     sys.modules.pop("revisit_bridge.node", None)
+    sys.modules.pop("revisit_bridge.lifecycle_node", None)
 
 
 def test_the_node_declares_every_parameter_and_keeps_scans_without_a_link(made, tmp_path) -> None:
@@ -241,3 +270,50 @@ def test_a_version_of_the_map_is_asked_for_and_a_refusal_goes_to_the_log(made) -
     _, node, _ = made
     assert node.services["~/optimise_map"](None, SimpleNamespace()).success
     eventually(lambda: any(line.startswith("no new version of the map") for line in node.logged))
+
+
+@pytest.fixture
+def managed(made):
+    """A lifecycle node over the same stand-ins, unconfigured."""
+    ros, _, sent = made
+    node = importlib.import_module("revisit_bridge.lifecycle_node").LifecycleBridgeNode()
+    yield ros, node, sent
+    node.destroy_node()
+
+
+def connected(node) -> tuple[int, int, int, int]:
+    """Subscriptions, services, timers and publishers that it has."""
+    return len(node.subscriptions_made), len(node.services), len(node.timers), len(node.publishers_made)
+
+
+def test_a_managed_node_takes_clouds_in_only_while_it_is_active(managed) -> None:
+    ros, node, _ = managed
+    assert connected(node) == (0, 0, 0, 0) and node.bridge is None
+    assert node.on_configure(None) == "success" and connected(node) == (0, 0, 0, 4)
+    sessions = []
+    for start_s in (1, 2):  # sessions go on over a short time of rest
+        assert node.on_activate(None) == "success" and connected(node) == (2, 4, 3, 4)
+        node.subscriptions_made["points"][1](ros.cloud(np.ones((50, 3)), SECOND * start_s, "lidar"))
+        node.subscriptions_made["odometry"][1](ros.odometry(np.eye(4), SECOND * start_s))
+        for timer in node.timers:
+            timer()
+        sessions.append(node.bridge.outbox.state.session)
+        assert node.on_deactivate(None) == "success" and connected(node) == (0, 0, 0, 4)
+    assert sessions[0] == sessions[1] and node.bridge.outbox.state.pending == 2
+    assert node.on_cleanup(None) == "success"
+    assert connected(node) == (0, 0, 0, 0) and node.bridge is None
+    assert node.on_configure(None) == "success"
+    assert node.bridge.outbox.state.session == sessions[0]  # scans that wait are on the disk
+    assert node.on_shutdown(None) == "success" and connected(node) == (0, 0, 0, 0)
+
+
+def test_parameters_of_a_managed_node_are_set_before_it_is_configured(managed) -> None:
+    _, node, _ = managed
+    map_id = SimpleNamespace(name="map_id", value="other")
+    assert node.set_parameters([map_id]) == (True, "")
+    node.parameters_declared["poll_s"] = 0.0
+    assert node.on_configure(None) == "failure" and node.bridge is None
+    assert any("poll_s must be positive" in line for line in node.logged)
+    node.parameters_declared |= {"poll_s": 5.0, "map_id": "other"}
+    assert node.on_configure(None) == "success"
+    assert not node.set_parameters([map_id])[0]

@@ -30,13 +30,18 @@ def test_the_readme_has_the_table_of_parameters() -> None:
 
 def test_only_the_node_needs_ros() -> None:
     ros = OF_ROS | {"sensor_msgs", "nav_msgs", "geometry_msgs", "std_msgs", "std_srvs", "diagnostic_msgs"}
-    assert [source.name for source in SOURCES if imports(source) & (ros | {"revisit_msgs"})] == ["node.py"]
+    assert [source.name for source in SOURCES if imports(source) & (ros | {"revisit_msgs"})] == [
+        "lifecycle_node.py",
+        "node.py",
+    ]
 
 
 def test_what_the_node_imports_is_declared() -> None:
     declared = {item.text for item in ET.parse(BRIDGE / "package.xml").getroot().iter("exec_depend")}
     needed = imports(BRIDGE / "revisit_bridge/node.py") | imports(BRIDGE / "launch/bridge.launch.py")
+    needed |= imports(BRIDGE / "revisit_bridge/lifecycle_node.py")
     python = {
+        "collections",
         "logging",
         "threading",
         "time",
