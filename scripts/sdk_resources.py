@@ -68,7 +68,7 @@ ALWAYS = {
 }  # fmt: skip
 """Messages and transforms that are never absent."""
 
-POINTS = {"Anchor.local_m", "Anchor.residual_m"}
+POINTS = {"Anchor.local_m", "Anchor.residual_m", "MapChange.moved_from_m"}
 """Points that may be absent; all others, and JSON, never are."""
 
 NOT_COMPARED = {"MapMerge.report"}

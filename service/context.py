@@ -18,6 +18,7 @@ from revisit.service.capacity.storage_quota import StorageQuota
 from revisit.service.domain.policy import Policy
 from revisit.service.domain.states import OperationKind
 from revisit.service.features.catalogue.job import MeshMaking
+from revisit.service.features.changes.job import ChangeFinding
 from revisit.service.features.corrections.job import EarlyCorrections
 from revisit.service.features.deletion.erasure import Erasure
 from revisit.service.features.index.caught_up_index import CaughtUpIndex
@@ -130,6 +131,7 @@ class ServiceContext:
             OperationKind.MERGE_MAP: MapMerging(context, recogniser, optimiser, merger).run,
             OperationKind.MAKE_TILE: tiles.make,
             OperationKind.MEASURE_MAP: tiles.measure,
+            OperationKind.FIND_CHANGES: ChangeFinding(context, tiler).run,
             OperationKind.PUBLISH_MAP: MapFiling(context).run,
             OperationKind.RECALL_LOOPS: LoopRecallJob(context, recogniser, early).run,
             OperationKind.MAKE_MESH: MeshMaking(context, recogniser).run,

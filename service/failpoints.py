@@ -50,6 +50,7 @@ POINTS = {
     "unmerge.after_rows": "in its transaction, the copies of a merge are gone, the earlier version is not back",
     "unmerge.after_version": "in its transaction, a merge is taken back, nothing is committed",
     "tile.after_blob": "a tile of a map is durable, no row names it",
+    "changes.after_blob": "what changed in a portion of a map is durable, no row names it",
     "publish.after_blob": "what the bytes of a map file are is durable, no row names it",
     "index.before_apply": "the changes of an index are read, none is applied",
     "index.after_apply": "the changes of an index are applied, nothing was searched",

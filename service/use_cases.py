@@ -22,6 +22,7 @@ from revisit.service.features.catalogue.meshes import SubmapMeshes
 from revisit.service.features.catalogue.robots import Robots
 from revisit.service.features.catalogue.sessions import Sessions
 from revisit.service.features.catalogue.submaps import Submaps
+from revisit.service.features.changes.calls import MapChanges
 from revisit.service.features.corrections.calls import Corrections
 from revisit.service.features.events.calls import Events
 from revisit.service.features.ingest.calls import Scans
@@ -70,6 +71,7 @@ class UseCases:
     map_versions: MapVersions
     map_merges: MapMerges
     map_tiles: MapTiles
+    map_changes: MapChanges
     map_files: MapFiles
     retention: MapRetentions
     corrections: Corrections
@@ -112,6 +114,7 @@ class UseCases:
             map_versions=MapVersions(context),
             map_merges=MapMerges(context, of.erasure),
             map_tiles=MapTiles(context, operations, rendering),
+            map_changes=MapChanges(context, operations),
             map_files=MapFiles(context),
             retention=MapRetentions(context),
             corrections=Corrections(context, tail),

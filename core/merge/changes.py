@@ -10,24 +10,15 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
-from scipy.spatial import cKDTree
 
-from revisit.core.geometry import se3
-from revisit.core.merge.evidence import ChangedThing, ChangeKind
+from revisit.core.merge.evidence import CHANGE_REACH_M, ChangedThing, ChangeKind
 from revisit.core.merge.fused import PlacedMap
-from revisit.core.merge.overlap import looked_through, seen_from
+from revisit.core.merge.overlap import looked_through, points_in_map, seen_from
+from revisit.core.merge.things import thing_of
 
 Array64 = NDArray[np.float64]
 
-SAME_THING_M = 0.8
-LEAST_POINTS = 16
-LEAST_HEIGHT_M = 0.4
 MOST_CHANGES = 500
-NEAR_M = 25.0
-"""Lengths in a scene of the size of a street: points nearer than this belong to one thing; a thing has so many points
-and is so high; changes farther from the middle of the submap that looked through are not looked for."""
 
 
 def changes_between(pairs: Sequence[tuple[PlacedMap, PlacedMap]]) -> list[ChangedThing]:
@@ -44,15 +35,12 @@ def _things(kind: ChangeKind, pairs: Sequence[tuple[PlacedMap, PlacedMap]]) -> l
     gone = _gone_points(pairs)
     if not len(gone):
         return []
-    links = cKDTree(gone).query_pairs(SAME_THING_M * scale, output_type="ndarray")
-    graph = coo_array((np.ones(len(links)), (links[:, 0], links[:, 1])), shape=(len(gone), len(gone)))
-    _, labels = connected_components(graph, directed=False)
-    clusters = [gone[labels == label] for label in np.flatnonzero(np.bincount(labels) >= LEAST_POINTS)]
-    high = [one for one in clusters if np.ptp(one[:, 2]) >= LEAST_HEIGHT_M * scale]
-    return [_thing(kind, one) for one in high]
+    labels = thing_of(gone, scale)
+    return [thing_around(kind, gone[labels == label]) for label in range(int(labels.max()) + 1)]
 
 
-def _thing(kind: ChangeKind, points: Array64) -> ChangedThing:
+def thing_around(kind: ChangeKind, points: Array64) -> ChangedThing:
+    """The thing that the points (n, 3) are of."""
     low, high = points.min(axis=0), points.max(axis=0)
     centre, extent = (0.5 * (low + high)).tolist(), (high - low).tolist()
     return ChangedThing(kind, (centre[0], centre[1], centre[2]), (extent[0], extent[1], extent[2]), len(points))
@@ -74,8 +62,7 @@ def _gone_from(one: PlacedMap, others: list[PlacedMap]) -> Array64:
         positions = seen_from(one, other)
         _, nearest = other.neural_map.sdf(positions)
         there |= nearest < other.neural_map.config.resolution
-        near = np.linalg.norm(positions, axis=1) < NEAR_M
+        near = np.linalg.norm(positions, axis=1) < CHANGE_REACH_M
         through[near] |= looked_through(positions[near], other)
     gone = through & ~there
-    in_submap = one.neural_map.frame.points_to_submap(one.neural_map.points.positions[gone])
-    return np.asarray(se3.apply(one.T_map_submap, in_submap), dtype=np.float64)
+    return points_in_map(one)[gone]

@@ -5,6 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from enum import StrEnum
 
+import numpy as np
+from numpy.typing import NDArray
+
 
 class MergeRefusal(StrEnum):
     """Why two groups are not joined."""
@@ -41,11 +44,23 @@ class MergeLimits:
         )
 
 
+CHANGE_REACH_M = 25.0
+"""In a scene of the size of a street: farther from the middle of a submap its free space is not relied on."""
+
+
 class ChangeKind(StrEnum):
-    """Which day has it: the first one (it vanished) or the second (it appeared)."""
+    """Which day has it: the first one (it vanished) or the second (it appeared).
+
+    MOVED: it vanished elsewhere, where a thing of its size stood. BACK: it had vanished from here on a day before.
+    """
 
     VANISHED = "VANISHED"
     APPEARED = "APPEARED"
+    MOVED = "MOVED"
+    BACK = "BACK"
+
+
+Vector = tuple[float, float, float]
 
 
 @dataclass(frozen=True)
@@ -53,9 +68,34 @@ class ChangedThing:
     """A cluster of changed points: a box along the axes of the map around it, centre and extent in metres."""
 
     kind: ChangeKind
-    centre_m: tuple[float, float, float]
-    extent_m: tuple[float, float, float]
+    centre_m: Vector
+    extent_m: Vector
     points: int
+
+
+@dataclass(frozen=True)
+class DatedChange:
+    """A change that a drive found: its `session`, when it passed, and when the place was seen as it was before.
+
+    `moved_from_m` is where a thing stood that has moved.
+    """
+
+    thing: ChangedThing
+    session: int
+    stamp_ns: int
+    before_ns: int
+    moved_from_m: Vector | None = None
+
+    def moved_by(self, offset_m: NDArray[np.float64]) -> DatedChange:
+        """In a frame whose origin lies at minus `offset_m` (3,) in this one."""
+        thing = replace(self.thing, centre_m=_shifted(self.thing.centre_m, offset_m))
+        start = None if self.moved_from_m is None else _shifted(self.moved_from_m, offset_m)
+        return replace(self, thing=thing, moved_from_m=start)
+
+
+def _shifted(place: Vector, offset_m: NDArray[np.float64]) -> Vector:
+    x, y, z = (np.array(place) + offset_m).tolist()
+    return x, y, z
 
 
 @dataclass(frozen=True)

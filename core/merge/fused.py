@@ -38,10 +38,20 @@ SAMPLE_REACH = 0.4
 
 @dataclass(frozen=True)
 class PlacedMap:
-    """The neural map of a submap, and where the submap lies in the frame of the merged map."""
+    """The neural map of a submap, and where the submap lies in the frame of the merged map.
+
+    `session` and `stamp_ns` say which drive saw it, and when; maps without them are of one drive.
+    """
 
     neural_map: NeuralMap
     T_map_submap: se3.Matrix4
+    session: int = 0
+    stamp_ns: int = 0
+
+    def only(self, kept: NDArray[np.bool_]) -> PlacedMap:
+        """With those of its points alone that are `kept` (n,)."""
+        rows, whole = np.flatnonzero(kept), self.neural_map
+        return replace(self, neural_map=replace(whole, points=whole.points.subset(rows), features=whole.features[rows]))
 
 
 def merge_neural_maps(placed: Sequence[PlacedMap], seed: int = 0) -> NeuralMap:

@@ -108,10 +108,29 @@ def pairs_in_reach(
 
 def seen_from(one: PlacedMap, other: PlacedMap) -> Array:
     """The points (n, 3) of a map in the level frame of another one."""
-    in_map = one.neural_map.frame.points_to_submap(one.neural_map.points.positions)
-    T_other_one = se3.inverse(other.T_map_submap) @ one.T_map_submap
-    in_other = in_map @ T_other_one[:3, :3].T + T_other_one[:3, 3]
-    frame = other.neural_map.frame
+    in_submap = one.neural_map.frame.points_to_submap(one.neural_map.points.positions)
+    return _in_level(in_submap, se3.inverse(other.T_map_submap) @ one.T_map_submap, other)
+
+
+def points_in_map(one: PlacedMap) -> NDArray[np.float64]:
+    """The points (n, 3) of a map in the frame of all of them, metres."""
+    in_submap = one.neural_map.frame.points_to_submap(one.neural_map.points.positions)
+    return np.asarray(se3.apply(one.T_map_submap, in_submap), dtype=np.float64)
+
+
+def normals_in_map(one: PlacedMap) -> NDArray[np.float64]:
+    """The normals (n, 3) of the points of a map in the frame of all of them."""
+    in_submap = one.neural_map.frame.normals_to_submap(one.neural_map.points.normals)
+    return np.asarray(in_submap @ one.T_map_submap[:3, :3].T, dtype=np.float64)
+
+
+def seen_from_map(points: NDArray[np.float64], other: PlacedMap) -> Array:
+    """Points (n, 3) of the frame of all maps in the level frame of one of them."""
+    return _in_level(points, se3.inverse(other.T_map_submap), other)
+
+
+def _in_level(points: NDArray[np.floating], T_submap_points: se3.Matrix4, other: PlacedMap) -> Array:
+    in_other, frame = points @ T_submap_points[:3, :3].T + T_submap_points[:3, 3], other.neural_map.frame
     return np.asarray((in_other - frame.translation) @ frame.rotation / frame.scale, dtype=np.float32)
 
 

@@ -6,7 +6,7 @@ made with a margin around it, and a triangle belongs to the tile that its centre
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -18,7 +18,11 @@ from revisit.core.config import SurfaceConfig
 from revisit.core.geometry import se3
 from revisit.core.geometry.tile_grid import TILE_VOXELS
 from revisit.core.implicit_map import NeuralMap
+from revisit.core.merge.evidence import DatedChange
 from revisit.core.merge.fused import PlacedMap, merge_neural_maps
+from revisit.core.merge.history import changes_over_time
+from revisit.core.merge.overlap import points_in_map
+from revisit.core.merge.standing import standing, still_standing
 from revisit.core.surface import extract_surface
 
 Array = NDArray[np.float32]
@@ -26,19 +30,22 @@ Array = NDArray[np.float32]
 MARGIN_VOXELS = 6
 """The margin that decides on a tile's surface: a voxel is meshed by neural points within less than three voxels."""
 
+THING_VOXELS = 16
+"""Of a thing that the border of a tile cuts, so much beyond the margin counts."""
+
 
 def fuse_tile(
     placed: Iterable[PlacedMap], centre_m: NDArray[np.float64], config: SurfaceConfig = SurfaceConfig()
 ) -> FusedTile | None:
     """The surface of the tile whose square has its middle at `centre_m` (3,) in the frame of the `placed` maps.
 
+    Of maps of several drives it is the surface that the latest of them left (`standing`).
     Lengths are metres from that middle; z is that of the map's frame. The neural map reaches a margin beyond the
     square, and its level frame leads to the frame of the map. The mesh meets those of the neighbours; the points are
     the neural points in the square. None where none of the maps has points there. Raises as `merge_neural_maps`.
     """
-    T_tile_map = se3.from_rotation_translation(np.eye(3), -centre_m)
-    moved = (replace(one, T_map_submap=T_tile_map @ one.T_map_submap) for one in placed)
-    cropped = [one for one in map(_cropped, moved) if len(one.neural_map.points)]
+    moved = _about(centre_m, placed)
+    cropped = [one for one in map(_cropped, still_standing(moved, _judged_m(moved))) if len(one.neural_map.points)]
     if not cropped:
         return None
     fused = merge_neural_maps(cropped)
@@ -53,6 +60,28 @@ def fuse_tile(
     return FusedTile(fused.to_blob(), mesh, of_points)
 
 
+def changes_in_tile(placed: Iterable[PlacedMap], centre_m: NDArray[np.float64]) -> list[DatedChange]:
+    """What drives found changed in the square of a tile, in the frame of the `placed` maps, in the order of time.
+
+    A thing belongs to the tile that its centre lies in.
+    """
+    moved = _about(centre_m, placed)
+    if len({one.session for one in moved}) < 2:
+        return []
+    found = changes_over_time(moved, _judged_m(moved))
+    centres = np.array([one.thing.centre_m for one in found]).reshape(-1, 3)
+    inside = _in_square(centres.astype(np.float32), _half_m(moved))
+    return [one.moved_by(centre_m) for one, its in zip(found, inside, strict=True) if its]
+
+
+def standing_in_tile(placed: Iterable[PlacedMap], centre_m: NDArray[np.float64]) -> list[NDArray[np.bool_]]:
+    """Which points (n,) of each of the maps still stand (`standing`); those outside the square of the tile do."""
+    moved = _about(centre_m, placed)
+    stands = standing(moved, _judged_m(moved))
+    inside = (_in_square(points_in_map(one).astype(np.float32), _half_m(moved)) for one in moved)
+    return [its | ~here for its, here in zip(stands, inside, strict=True)]
+
+
 def distances_m(neural_map: NeuralMap, points: NDArray[np.floating]) -> tuple[Array, Array]:
     """Signed distances (n,) of `points` (n, 3) in the map to a tile's surface, all in metres, positive in free space.
 
@@ -64,6 +93,25 @@ def distances_m(neural_map: NeuralMap, points: NDArray[np.floating]) -> tuple[Ar
     return values * np.float32(frame.scale), nearest * np.float32(frame.scale)
 
 
+def _about(centre_m: NDArray[np.float64], placed: Iterable[PlacedMap]) -> list[PlacedMap]:
+    """The maps in a frame with its origin at `centre_m` (3,)."""
+    T_tile_map = se3.from_rotation_translation(np.eye(3), -centre_m)
+    return [replace(one, T_map_submap=T_tile_map @ one.T_map_submap) for one in placed]
+
+
+def _half_m(moved: Sequence[PlacedMap], beyond_voxels: int = 0) -> float:
+    """Half an edge of a tile and so many voxels, metres."""
+    if not moved:
+        return 0.0
+    neural_map = moved[0].neural_map
+    return (0.5 * TILE_VOXELS + beyond_voxels) * neural_map.config.resolution * neural_map.frame.scale
+
+
+def _judged_m(moved: Sequence[PlacedMap]) -> float:
+    """How far from its middle a tile says what still stands: things are judged whole that its border cuts."""
+    return _half_m(moved, MARGIN_VOXELS + THING_VOXELS)
+
+
 def _cropped(one: PlacedMap) -> PlacedMap:
     """A map with those of its points alone that lie in the tile or its margin."""
     neural_map = one.neural_map
@@ -72,9 +120,7 @@ def _cropped(one: PlacedMap) -> PlacedMap:
     T_level = se3.from_rotation_translation(T_tile_upright[:3, :3], T_tile_upright[:3, 3] / scale)
     here = se3.apply(T_level, neural_map.points.positions)
     reach = (0.5 * TILE_VOXELS + MARGIN_VOXELS) * resolution
-    kept = np.flatnonzero(np.abs(here[:, :2]).max(axis=1, initial=0.0) < reach)
-    points = neural_map.points.subset(kept)
-    return replace(one, neural_map=replace(neural_map, points=points, features=neural_map.features[kept]))
+    return one.only(np.abs(here[:, :2]).max(axis=1, initial=0.0) < reach)
 
 
 def _in_square(positions: Array, half: float) -> NDArray[np.bool_]:

@@ -235,6 +235,7 @@ _TABLE = (
         Row("MergeMap", ADMIN, "POST /v1/{name=maps/*}:merge", "operation"),
         Row("ListMapMerges", READ, "GET /v1/{parent=maps/*}/merges"),
         Row("GetMapMerge", READ, "GET /v1/{name=maps/*/merges/*}", "map_merge"),
+        Row("ListMapChanges", QUERY, "GET /v1/{parent=maps/*/versions/*}/changes"),
         Row("RevertMapMerge", ADMIN, "POST /v1/{name=maps/*/merges/*}:revert", "map_merge"),
         Row("GetCorrection", READ, "GET /v1/{name=maps/*/sessions/*}:correction", "correction"),
         Row("WatchCorrections", READ, cost=Cost.WATCH),

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -13,8 +14,13 @@ from revisit.core.geometry import geodesy
 from revisit.core.geometry.se3 import Matrix4
 from revisit.sdk.client import Client
 
+if TYPE_CHECKING:
+    from revisit.sdk.resources import MapChange
+
 DIGITS = 9
 """Of degrees: 0.1 mm."""
+
+_AROUND = ((-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0), (-1.0, -1.0))
 
 
 @dataclass(frozen=True)
@@ -45,6 +51,26 @@ def frame_on_earth(http: str, map_id: str, frame: str) -> OnEarth | None:
     if found is None or origin is None:
         return None
     return OnEarth((origin.latitude_deg, origin.longitude_deg, origin.altitude_m), found.T_enu_map)
+
+
+def changes_as_geojson(changes: Sequence[MapChange], earth: Mapping[str, OnEarth]) -> dict[str, Any]:
+    """Changes as boxes seen from above (RFC 7946), each with what is known of it; by the frame they lie in."""
+    features = []
+    for one in changes:
+        frame, half = earth[one.frame], 0.5 * np.array(one.extent_m)
+        corners = [np.array([*(one.centre_m + half * [x, y, 0.0]), 1.0]) for x, y in _AROUND]
+        places = np.stack([frame.T_enu_map @ corner for corner in corners])[:, :3]
+        ring = geodesy.geodetic_of_enu(frame.origin, places).tolist()
+        line = [[round(lon, DIGITS), round(lat, DIGITS), round(alt, 3)] for lat, lon, alt in ring]
+        told: dict[str, Any] = {
+            "kind": one.kind,
+            "session": one.session,
+            "stamp_ns": one.stamp_ns,
+            "before_ns": one.before_ns,
+        }
+        told |= {"height_m": one.extent_m[2], "points": one.points}
+        features.append({"type": "Feature", "properties": told, "geometry": {"type": "Polygon", "coordinates": [line]}})
+    return {"type": "FeatureCollection", "features": features}
 
 
 def as_geojson(placed: Sequence[PlacedSubmap], earth: OnEarth) -> str:

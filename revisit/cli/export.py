@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -10,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from revisit.cli.extras import what_is_missing
+from revisit.cli.moments import AsOf, Ever, moment_ns
 from revisit.cli.options import HTTP, Http, Json, MapName
 from revisit.cli.output import emit_json, progress_bar, refuse, reporter, say
 from revisit.cli.recordings import Poses, opened
@@ -37,8 +39,11 @@ FILES = (
     "geojson",
 )
 
+SURFACES = ("ply", "pcd", "laz", "mesh", "glb", "grid", "mcap", "autoware")
+"""The formats with a surface, of which a later drive may have looked through a part."""
+
 Report = Callable[[str, int, int], None]
-Writer = Callable[[Path, str, "list[PlacedSubmap]", Report], dict[str, int]]
+Writer = Callable[..., dict[str, int]]
 """Writes a map to a path; counts for the summary."""
 
 
@@ -61,6 +66,8 @@ def export(
     frame: Annotated[
         str, typer.Option(help="map, or enu: metres east, north and up from the origin of a map on earth.")
     ] = "map",
+    as_of: AsOf = "",
+    ever: Ever = False,
     epsg: Annotated[int, typer.Option(min=0, help="laz: number of the reference system that the map is in.")] = 0,
     http: Http = HTTP,
     json: Json = False,
@@ -70,7 +77,8 @@ def export(
     grid (grid), poses and cloud for Foxglove (mcap), pairs of points for fleet adapters (reference), a folder with the
     cloud in squares as Autoware loads it (autoware), one with the tiles of the surface for web viewers (3dtiles), or
     the drives on earth (geojson). Poses are those of the version in force, or else optimised here. A map that anchors
-    hold lies on earth in autoware, 3dtiles and geojson, and with --frame enu.
+    hold lies on earth in autoware, 3dtiles and geojson, and with --frame enu. Clouds, meshes, grids and tiles show
+    what the latest drive left, unless --as-of or --ever say otherwise.
     """
     _require_fitting(file_format, session_id, recording, out)
     if frame not in ("map", "enu"):
@@ -81,7 +89,8 @@ def export(
         elif out is None or file_format in TEXTS:
             summary = _write_text(file_format, out, http, map_id, session_id)
         else:
-            summary = _write_file(file_format, out, http, (map_id, session_id), epsg, frame)
+            asked = Asked(http, (map_id, session_id), epsg, frame, moment_ns(as_of), ever)
+            summary = _write_file(file_format, out, asked)
     except ModuleNotFoundError as error:
         raise refuse(what_is_missing("service", error)) from error
     if json and out is not None:
@@ -117,16 +126,29 @@ def _write_text(file_format: str, out: Path | None, http: str, map_id: str, sess
     return {"file": str(out), "submaps": sum(map(len, graph.tracks)), "loops": len(graph.loops)}
 
 
-def _write_file(
-    file_format: str, out: Path, http: str, chosen: tuple[str, str], epsg: int, frame: str
-) -> dict[str, Any]:
+@dataclass(frozen=True)
+class Asked:
+    """The map and session of a file, its reference system, its frame, and which of its drives count."""
+
+    http: str
+    chosen: tuple[str, str]
+    epsg: int
+    frame: str
+    as_of_ns: int | None
+    ever: bool
+
+
+def _write_file(file_format: str, out: Path, asked: Asked) -> dict[str, Any]:
     """Poses, a cloud, a mesh or a grid, with a bar; a summary."""
     from revisit.cli.earth import frame_on_earth
     from revisit.cli.map_files import placed_submaps
 
+    http, chosen, frame = asked.http, asked.chosen, asked.frame
     if file_format == "3dtiles":
-        return _write_tileset(out, http, *chosen)
+        return _write_tileset(out, asked)
     placed = placed_submaps(http, *chosen)
+    if asked.as_of_ns is not None:
+        placed = [one for one in placed if one.stamp_ns <= asked.as_of_ns]
     if not placed:
         raise refuse(f"map {chosen[0]} holds no submaps")
     on_earth = frame == "enu" or file_format in ("autoware", "geojson")
@@ -138,11 +160,13 @@ def _write_file(
     out.parent.mkdir(parents=True, exist_ok=True)
     with progress_bar(quiet=False) as bar:
         more: dict[str, Writer] = {
-            "laz": partial(_write_cloud, kind="laz", epsg=epsg),
+            "laz": partial(_write_cloud, kind="laz", epsg=asked.epsg),
             "autoware": partial(_write_autoware, earth=earth),
             "geojson": partial(_write_geojson, earth=earth),
         }
         write = (_WRITERS | more)[file_format]
+        if file_format in SURFACES:
+            write = partial(write, ever=asked.ever)
         counts = write(out, http, placed, reporter(bar))
     return {"file": str(out), "submaps": len(placed), **counts}
 
@@ -178,43 +202,45 @@ def _write_kitti(out: Path, _http: str, placed: list[PlacedSubmap], _report: Rep
 
 
 def _write_cloud(
-    out: Path, http: str, placed: list[PlacedSubmap], report: Report, kind: str, epsg: int = 0
+    out: Path, http: str, placed: list[PlacedSubmap], report: Report, kind: str, epsg: int = 0, ever: bool = False
 ) -> dict[str, int]:
     from revisit.cli.map_files import merged_cloud
     from revisit.formats import laz, pcd, ply
 
     as_laz = partial(laz.encode, epsg=epsg or None)
     writers: dict[str, Callable[..., bytes]] = {"ply": ply.encode, "pcd": pcd.encode, "laz": as_laz}
-    cloud = merged_cloud(http, placed, report)
+    cloud = merged_cloud(http, placed, report, ever=ever)
     out.write_bytes(writers[kind](cloud.points, intensity=cloud.intensity))
     return {"points": len(cloud.points)}
 
 
-def _write_mesh(out: Path, http: str, placed: list[PlacedSubmap], report: Report, kind: str) -> dict[str, int]:
+def _write_mesh(
+    out: Path, http: str, placed: list[PlacedSubmap], report: Report, kind: str, ever: bool = False
+) -> dict[str, int]:
     from revisit.cli.map_files import merged_mesh
     from revisit.formats import glb, ply
 
-    vertices, normals, faces = merged_mesh(http, placed, report)
+    vertices, normals, faces = merged_mesh(http, placed, report, ever=ever)
     out.write_bytes((glb if kind == "glb" else ply).encode_mesh(vertices, normals, faces))
     return {"vertices": len(vertices), "faces": len(faces)}
 
 
-def _write_grid(out: Path, http: str, placed: list[PlacedSubmap], report: Report) -> dict[str, int]:
+def _write_grid(out: Path, http: str, placed: list[PlacedSubmap], report: Report, ever: bool = False) -> dict[str, int]:
     """`out` as PGM and, beside it, NAME.yaml."""
     from revisit.cli.map_files import merged_cloud
     from revisit.formats.occupancy_grid import grid_of
 
-    grid = grid_of(merged_cloud(http, placed, report).points)
+    grid = grid_of(merged_cloud(http, placed, report, ever=ever).points)
     out.write_bytes(grid.to_pgm())
     out.with_suffix(".yaml").write_text(grid.to_yaml(out.name))
     return {"rows": grid.cells.shape[0], "columns": grid.cells.shape[1]}
 
 
-def _write_mcap(out: Path, http: str, placed: list[PlacedSubmap], report: Report) -> dict[str, int]:
+def _write_mcap(out: Path, http: str, placed: list[PlacedSubmap], report: Report, ever: bool = False) -> dict[str, int]:
     from revisit.cli.map_files import by_session, merged_cloud
     from revisit.formats.mcap_map import encode
 
-    sessions, cloud = by_session(placed), merged_cloud(http, placed, report)
+    sessions, cloud = by_session(placed), merged_cloud(http, placed, report, ever=ever)
     out.write_bytes(encode(sessions, cloud.points, intensity=cloud.intensity))
     return {"sessions": len(sessions), "points": len(cloud.points)}
 
@@ -241,13 +267,13 @@ def _write_geojson(
 
 
 def _write_autoware(
-    out: Path, http: str, placed: list[PlacedSubmap], report: Report, earth: OnEarth | None
+    out: Path, http: str, placed: list[PlacedSubmap], report: Report, earth: OnEarth | None, ever: bool = False
 ) -> dict[str, int]:
     """A folder of squares as PCD, their places, and the projector of a map on earth, or of one that is not."""
     from revisit.cli.map_files import merged_cloud
     from revisit.formats import autoware, pcd
 
-    cloud = merged_cloud(http, placed, report)
+    cloud = merged_cloud(http, placed, report, ever=ever)
     (out / autoware.CLOUDS).mkdir(parents=True, exist_ok=True)
     corners = []
     for corner, rows in autoware.squares_of(cloud.points):
@@ -260,13 +286,14 @@ def _write_autoware(
     return {"points": len(cloud.points), "squares": len(corners)}
 
 
-def _write_tileset(out: Path, http: str, map_id: str, session_id: str) -> dict[str, Any]:
+def _write_tileset(out: Path, asked: Asked) -> dict[str, Any]:
     """A folder with the tiles of the version in force as GLB, and the file that lists them; a summary."""
     from revisit.cli.earth import frame_on_earth
     from revisit.formats.glb import bounds_of_scene
     from revisit.formats.tileset import NAME, TileFile, tileset
     from revisit.sdk.client import Client
 
+    http, (map_id, session_id) = asked.http, asked.chosen
     if session_id:
         raise refuse(
             "--format 3dtiles writes the version of the map in force, all its sessions: --session is of others"
@@ -277,7 +304,7 @@ def _write_tileset(out: Path, http: str, map_id: str, session_id: str) -> dict[s
         tiles = [tile for tile in listed if tile.frame == largest]
         out.mkdir(parents=True, exist_ok=True)
         for number, tile in enumerate(tiles, 1):
-            data = client.download_tile(tile, "glb")
+            data = client.download_tile(tile, "glb", as_of_ns=asked.as_of_ns, ever=asked.ever)
             if bounds := bounds_of_scene(data):
                 written.append(TileFile(f"{tile.name.rpartition('/')[2]}.glb", bounds))
                 (out / written[-1].uri).write_bytes(data)

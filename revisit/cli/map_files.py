@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Container, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from revisit.cli.pose_graph_files import Graph, pose_graph, read_graph
+from revisit.cli.standing import SurfaceOf, Surfaces
 from revisit.core.geometry.se3 import Matrix4
 from revisit.formats import npy
 from revisit.formats.cloud import DEFAULT_LIMITS
@@ -33,6 +34,11 @@ class PlacedSubmap:
     stamp_ns: int
     T_map_submap: Matrix4
     frame: str = ""
+
+    @property
+    def session(self) -> str:
+        """The name of its session."""
+        return self.name.partition("/submaps/")[0]
 
 
 def placed_submaps(http: str, map_id: str, session_id: str = "") -> list[PlacedSubmap]:
@@ -92,17 +98,36 @@ class MergedCloud:
         return MergedCloud(self.points[rows], None if self.intensity is None else self.intensity[rows])
 
 
-def merged_cloud(http: str, placed: Sequence[PlacedSubmap], report: Callable[[str, int, int], None]) -> MergedCloud:
-    """The points of all submaps in the map, one in a voxel."""
-    parts = [MergedCloud(np.zeros((0, 3)), None)]
+def merged_cloud(
+    http: str, placed: Sequence[PlacedSubmap], report: Callable[[str, int, int], None], *, ever: bool = False
+) -> MergedCloud:
+    """The points of all submaps in the map, one in a voxel; what a later drive looked through with `ever`."""
+    several = not ever and len({one.session for one in placed}) > 1
+    surfaces = _surfaces(http, placed, report) if several else None
+    stands, parts = surfaces.standing() if surfaces else [], [MergedCloud(np.zeros((0, 3)), None)]
     with Client(http) as client:
-        for number, one in enumerate(placed, 1):
-            cloud = npy.decode(client.download(one.name, "npy"), DEFAULT_LIMITS)
-            points = cloud.points.astype(np.float64) @ one.T_map_submap[:3, :3].T + one.T_map_submap[:3, 3]
+        for row, one in enumerate(placed):
+            read = npy.decode(client.download(one.name, "npy"), DEFAULT_LIMITS)
+            cloud = MergedCloud(read.points.astype(np.float64), read.intensity)
+            if surfaces:
+                cloud = cloud.at(np.flatnonzero(~surfaces.gone(row, stands[row], cloud.points)))
+            points = cloud.points @ one.T_map_submap[:3, :3].T + one.T_map_submap[:3, 3]
             parts.append(MergedCloud(points, cloud.intensity).at(thinned(points)))
-            report("clouds", number, len(placed))
+            report("clouds", row + 1, len(placed))
     whole = _joined(parts)
     return whole.at(thinned(whole.points))
+
+
+def _surfaces(http: str, placed: Sequence[PlacedSubmap], report: Callable[[str, int, int], None]) -> Surfaces:
+    """The surfaces of the submaps; their sessions numbered in the order in which these are listed."""
+    sessions = list(dict.fromkeys(one.session for one in placed))
+    found = []
+    with Client(http) as client:
+        for number, one in enumerate(placed, 1):
+            blob = client.download(one.name, "neural")
+            found.append(SurfaceOf(blob, sessions.index(one.session), one.stamp_ns, one.T_map_submap))
+            report("neural maps", number, len(placed))
+    return Surfaces(found)
 
 
 def _joined(parts: Sequence[MergedCloud]) -> MergedCloud:
@@ -123,39 +148,34 @@ def thinned(points: Points) -> NDArray[np.int64]:
 
 
 def merged_mesh(
-    http: str, placed: Sequence[PlacedSubmap], report: Callable[[str, int, int], None]
+    http: str, placed: Sequence[PlacedSubmap], report: Callable[[str, int, int], None], *, ever: bool = False
 ) -> tuple[Points, Points, NDArray[np.int32]]:
     """Vertices (v, 3) in metres in the map, their normals (v, 3) and faces (f, 3): the neural maps of all as one.
 
-    They are merged about their middle, for neural maps hold single precision, which is half a metre in UTM.
+    What later drives looked through is there only with `ever`. They are merged about their middle, for neural maps hold
+    single precision, which is half a metre in UTM.
     """
     from revisit.core.config import PipelineConfig
     from revisit.core.surface import extract_surface
 
     middle = np.rint(np.mean([one.T_map_submap[:3, 3] for one in placed], axis=0))
-    neural_map = _merged_map(http, placed, middle, report)
+    neural_map = _merged_map(_surfaces(http, placed, report), len(placed), middle, ever)
     surface = extract_surface(neural_map, PipelineConfig().surface)
     vertices = neural_map.frame.points_to_submap(surface.vertices).astype(np.float64)
     return vertices + middle, surface.normals @ neural_map.frame.rotation.T, surface.faces
 
 
-def _merged_map(
-    http: str, placed: Sequence[PlacedSubmap], middle: Points, report: Callable[[str, int, int], None]
-) -> NeuralMap:
+def _merged_map(surfaces: Surfaces, count: int, middle: Points, ever: bool) -> NeuralMap:
     """One neural map out of those of all submaps, seen from `middle` (3,) in the map."""
-    from revisit.core.config import PipelineConfig
     from revisit.core.geometry.se3 import from_yaw
-    from revisit.core.implicit_map import NeuralMap
-    from revisit.core.merge.fused import PlacedMap, merge_neural_maps
-    from revisit.core.model_bundle import load_packaged_models
+    from revisit.core.merge.fused import merge_neural_maps
 
-    decoder, config = load_packaged_models().decoder, PipelineConfig().implicit_map
+    stands = [None] * count if ever else surfaces.standing()
     maps, T_middle_map = [], from_yaw(0.0, -middle)
-    with Client(http) as client:
-        for number, one in enumerate(placed, 1):
-            stored = NeuralMap.from_blob(client.download(one.name, "neural"), decoder, config)
-            maps.append(PlacedMap(stored, T_middle_map @ one.T_map_submap))
-            report("neural maps", number, len(placed))
+    for row, its in enumerate(stands):
+        one = surfaces.placed(row)
+        kept = one if its is None else one.only(its)
+        maps.append(replace(kept, T_map_submap=T_middle_map @ one.T_map_submap))
     return merge_neural_maps(maps)
 
 

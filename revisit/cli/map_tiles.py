@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from revisit.cli.moments import AsOf, Ever, moment_ns
 from revisit.cli.options import HTTP, Http, Json, MapName
 from revisit.cli.output import emit_json, emit_table, refuse, say
 
@@ -30,12 +31,15 @@ def tiles(
     frame: Annotated[
         str, typer.Option(help="--distance: the frame of the map that is meant; needed where there are several.")
     ] = "",
+    as_of: AsOf = "",
+    ever: Ever = False,
     http: Http = HTTP,
     json: Json = False,
 ) -> None:
     """List the tiles of the version of a map in force, or download the surface of one; a worker makes it if need be.
 
-    With `--distance`, which may be repeated: signed distances of points to the surface, metres.
+    With `--distance`, which may be repeated: signed distances of points to the surface, metres. The surface is the one
+    that the latest drive left, unless --as-of or --ever say otherwise.
     """
     from revisit.sdk.client import Client
 
@@ -45,11 +49,15 @@ def tiles(
         raise refuse("to download, give TILE and --out FILE")
     if file_format not in FORMATS:
         raise refuse(f"--format is one of {', '.join(FORMATS)}")
+    moment: dict[str, Any] = {"as_of_ns": moment_ns(as_of), "ever": ever}
     with Client(http) as client:
         if distance:
-            _measure(client, map_id, distance, frame, json)
+            _measure(client, map_id, distance, {"frame": frame, **moment}, json)
         elif out is not None:
-            _download(client, map_id, tile_id, file_format, out)
+            version = client.get_map(f"maps/{map_id}").map_version
+            data = client.download_tile(f"maps/{map_id}/versions/{version}/tiles/{tile_id}", file_format, **moment)
+            out.write_bytes(data)
+            say(f"{out}: {len(data):,} bytes of tile {tile_id}, version {version} of map {map_id}")
         else:
             _list(map_id, client.map_tiles(f"maps/{map_id}"), json)
 
@@ -66,22 +74,15 @@ def _list(map_id: str, found: list[MapTile], as_json: bool) -> None:
     emit_table(f"Tiles of map {map_id}", names, rows)
 
 
-def _download(client: Client, map_id: str, tile_id: str, file_format: str, out: Path) -> None:
-    version = client.get_map(f"maps/{map_id}").map_version
-    data = client.download_tile(f"maps/{map_id}/versions/{version}/tiles/{tile_id}", file_format)
-    out.write_bytes(data)
-    say(f"{out}: {len(data):,} bytes of tile {tile_id}, version {version} of map {map_id}")
-
-
-def _measure(client: Client, map_id: str, points: list[str], frame: str, as_json: bool) -> None:
-    """Signed distances of points X,Y,Z to the surface."""
+def _measure(client: Client, map_id: str, points: list[str], where: dict[str, Any], as_json: bool) -> None:
+    """Signed distances of points X,Y,Z to the surface, `where` and when."""
     try:
         asked = [[float(word) for word in point.split(",")] for point in points]
     except ValueError as error:
         raise refuse("a point is X,Y,Z, three numbers in metres") from error
     if any(len(point) != 3 for point in asked):
         raise refuse("a point is X,Y,Z, three numbers in metres")
-    found = client.map_distances(f"maps/{map_id}", asked, frame=frame)
+    found = client.map_distances(f"maps/{map_id}", asked, **where)
     pairs = zip(points, found.distance_m.tolist(), found.nearest_m.tolist(), strict=True)
     rows = [(point, *(None if value != value else round(value, 4) for value in row)) for point, *row in pairs]
     if as_json:

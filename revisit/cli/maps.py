@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from revisit.cli import map_tiles, map_versions
+from revisit.cli import map_changes, map_tiles, map_versions
 from revisit.cli.former_names import WithFormerNames
 from revisit.cli.options import HTTP, Http, Json, MapName
 from revisit.cli.output import emit_json, emit_table, refuse, say, utc
@@ -26,6 +26,7 @@ group = typer.Typer(
 )
 group.command("save")(map_versions.save)
 group.command("tiles")(map_tiles.tiles)
+group.command("changes")(map_changes.changes)
 group.command("publish")(map_versions.publish)
 group.command("check")(map_versions.check)
 group.command("retention")(retention)

@@ -82,7 +82,7 @@ def _look_back(map_id: str, http: str, as_json: bool, *, changes: bool, undo: bo
         raise refuse("give either --changes or --undo")
     with Client(http) as client:
         if changes:
-            merge = _last_merge(client, map_id, "; sessions of one map are not compared")
+            merge = _last_merge(client, map_id, "; `revisit map changes` compares drives of one map")
             _emit_changes(list(merge.changes), as_json)
         elif undo:
             _emit_undone(client.revert_merge(_last_merge(client, map_id)), as_json)

@@ -18,6 +18,7 @@ from revisit.sdk.resources import LoopClosureEvent
 from revisit.sdk.resources import LoopKeypoints
 from revisit.sdk.resources import LoopPolicy
 from revisit.sdk.resources import Map
+from revisit.sdk.resources import MapChange
 from revisit.sdk.resources import MapDistances
 from revisit.sdk.resources import MapFile
 from revisit.sdk.resources import MapMerge
@@ -171,11 +172,13 @@ class Versions:
         ...
     async def tiles(self, version: str | Map | MapVersion) -> builtins.list[MapTile]:
         ...
-    async def download_tile(self, tile: str | MapTile, file_format: str='glb') -> bytes:
+    async def download_tile(self, tile: str | MapTile, file_format: str='glb', *, as_of_ns: int | None=None, ever: bool=False) -> bytes:
         ...
-    async def distances(self, version: str | Map | MapVersion, points_m: Any, *, frame: str='') -> MapDistances:
+    async def distances(self, version: str | Map | MapVersion, points_m: Any, *, frame: str='', as_of_ns: int | None=None, ever: bool=False) -> MapDistances:
         ...
-    async def points(self, version: str | Map | MapVersion, centre_m: Any, within_m: float, *, frame: str='', limit: int=1000) -> MapPoints:
+    async def points(self, version: str | Map | MapVersion, centre_m: Any, within_m: float, *, frame: str='', limit: int=1000, as_of_ns: int | None=None, ever: bool=False) -> MapPoints:
+        ...
+    async def changes(self, version: str | Map | MapVersion, *, after_ns: int=0, until_ns: int=0) -> builtins.list[MapChange]:
         ...
     async def name(self, version: str | Map | MapVersion) -> str:
         ...

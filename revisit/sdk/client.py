@@ -156,6 +156,7 @@ class Client:
         self.get_map_version = self.versions.get
         self.submap_poses = self.versions.poses
         self.map_tiles = self.versions.tiles
+        self.map_changes = self.versions.changes
         self.download_tile = self.versions.download_tile
         self.map_distances = self.versions.distances
         self.map_points = self.versions.points

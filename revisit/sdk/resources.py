@@ -493,12 +493,22 @@ class MapChange(Resource):
     """Something that one day has and the other has not: a box along the axes of the map's frame around its points."""
 
     kind: str = ""
-    """VANISHED or APPEARED."""
+    """VANISHED, APPEARED, MOVED or BACK."""
     centre_m: tuple[float, float, float]
     """Metres."""
     extent_m: tuple[float, float, float]
     points: int = 0
     """Neural points in it."""
+    moved_from_m: tuple[float, float, float] | None = None
+    """The middle of where a thing that MOVED stood before, metres."""
+    frame: str = ""
+    """The frame of the map that it lies in. This and what follows is of changes between the drives of a map."""
+    session: str = ""
+    """maps/{map}/sessions/{session}: the drive that found it."""
+    stamp_ns: int | None = None
+    """When that drive had passed, nanoseconds since 1970."""
+    before_ns: int | None = None
+    """When the place was last seen as it was before: the change happened in between."""
 
 
 @dataclass(frozen=True, kw_only=True)

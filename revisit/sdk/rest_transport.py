@@ -72,7 +72,8 @@ class RestTransport:
         """See Transport."""
         sent = http_request(CALLS[name], request)
         # Formats are the enum's names in lower case.
-        params = {key: value.lower() for key, value in sent.arguments["params"].items()}
+        given = sent.arguments["params"]
+        params = {key: one.lower() if isinstance(one, str) else one for key, one in given.items()}
         return self._send(HttpRequest(sent.verb, sent.path, {"params": params})).content
 
     def map_file_bytes(self, name: str, offset: int) -> Iterator[bytes]:

@@ -25,7 +25,7 @@ _sym_db = _symbol_database.Default()
 from revisit.v1 import geometry_pb2 as revisit_dot_v1_dot_geometry__pb2
 
 
-DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n\x19revisit/v1/map_tile.proto\x12\nrevisit.v1\x1a\x19revisit/v1/geometry.proto\"\x89\x01\n\x07MapTile\x12\x0c\n\x04name\x18\x01 \x01(\t\x12\r\n\x05\x66rame\x18\x02 \x01(\t\x12\x0f\n\x07min_x_m\x18\x03 \x01(\x01\x12\x0f\n\x07min_y_m\x18\x04 \x01(\x01\x12\x0f\n\x07max_x_m\x18\x05 \x01(\x01\x12\x0f\n\x07max_y_m\x18\x06 \x01(\x01\x12\x0f\n\x07submaps\x18\x07 \x01(\r\x12\x0c\n\x04made\x18\x08 \x01(\x08\"L\n\x13ListMapTilesRequest\x12\x0e\n\x06parent\x18\x01 \x01(\t\x12\x11\n\tpage_size\x18\x02 \x01(\x05\x12\x12\n\npage_token\x18\x03 \x01(\t\"W\n\x14ListMapTilesResponse\x12&\n\tmap_tiles\x18\x01 \x03(\x0b\x32\x13.revisit.v1.MapTile\x12\x17\n\x0fnext_page_token\x18\x02 \x01(\t\"\xbd\x01\n\x16\x44ownloadMapTileRequest\x12\x0c\n\x04name\x18\x01 \x01(\t\x12\x39\n\x06\x66ormat\x18\x02 \x01(\x0e\x32).revisit.v1.DownloadMapTileRequest.Format\"Z\n\x06\x46ormat\x12\x16\n\x12\x46ORMAT_UNSPECIFIED\x10\x00\x12\x07\n\x03PCD\x10\x01\x12\x07\n\x03PLY\x10\x02\x12\x07\n\x03NPY\x10\x03\x12\x08\n\x04MESH\x10\x04\x12\n\n\x06NEURAL\x10\x05\x12\x07\n\x03GLB\x10\x06\"M\n\x17\x44ownloadMapTileResponse\x12\x12\n\nmedia_type\x18\x01 \x01(\t\x12\x10\n\x08\x66ilename\x18\x02 \x01(\t\x12\x0c\n\x04\x64\x61ta\x18\x03 \x01(\x0c\"b\n\x1aMeasureMapDistancesRequest\x12\x0e\n\x06parent\x18\x01 \x01(\t\x12\r\n\x05\x66rame\x18\x02 \x01(\t\x12%\n\x08points_m\x18\x03 \x03(\x0b\x32\x13.revisit.v1.Vector3\"[\n\x0bMapDistance\x12\x17\n\ndistance_m\x18\x01 \x01(\x01H\x00\x88\x01\x01\x12\x16\n\tnearest_m\x18\x02 \x01(\x01H\x01\x88\x01\x01\x42\r\n\x0b_distance_mB\x0c\n\n_nearest_m\"m\n\x1bMeasureMapDistancesResponse\x12\x13\n\x0bmap_version\x18\x01 \x01(\x04\x12\r\n\x05\x66rame\x18\x02 \x01(\t\x12*\n\tdistances\x18\x03 \x03(\x0b\x32\x17.revisit.v1.MapDistance\"}\n\x14\x46indMapPointsRequest\x12\x0e\n\x06parent\x18\x01 \x01(\t\x12\r\n\x05\x66rame\x18\x02 \x01(\t\x12%\n\x08\x63\x65ntre_m\x18\x03 \x01(\x0b\x32\x13.revisit.v1.Vector3\x12\x10\n\x08within_m\x18\x04 \x01(\x01\x12\r\n\x05limit\x18\x05 \x01(\x05\"X\n\x08MapPoint\x12\'\n\nposition_m\x18\x01 \x01(\x0b\x32\x13.revisit.v1.Vector3\x12#\n\x06normal\x18\x02 \x01(\x0b\x32\x13.revisit.v1.Vector3\"p\n\x15\x46indMapPointsResponse\x12\x13\n\x0bmap_version\x18\x01 \x01(\x04\x12\r\n\x05\x66rame\x18\x02 \x01(\t\x12$\n\x06points\x18\x03 \x03(\x0b\x32\x14.revisit.v1.MapPoint\x12\r\n\x05total\x18\x04 \x01(\r2\xff\x02\n\x0eMapTileService\x12Q\n\x0cListMapTiles\x12\x1f.revisit.v1.ListMapTilesRequest\x1a .revisit.v1.ListMapTilesResponse\x12\\\n\x0f\x44ownloadMapTile\x12\".revisit.v1.DownloadMapTileRequest\x1a#.revisit.v1.DownloadMapTileResponse0\x01\x12\x66\n\x13MeasureMapDistances\x12&.revisit.v1.MeasureMapDistancesRequest\x1a\'.revisit.v1.MeasureMapDistancesResponse\x12T\n\rFindMapPoints\x12 .revisit.v1.FindMapPointsRequest\x1a!.revisit.v1.FindMapPointsResponseb\x06proto3')
+DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n\x19revisit/v1/map_tile.proto\x12\nrevisit.v1\x1a\x19revisit/v1/geometry.proto\"\x89\x01\n\x07MapTile\x12\x0c\n\x04name\x18\x01 \x01(\t\x12\r\n\x05\x66rame\x18\x02 \x01(\t\x12\x0f\n\x07min_x_m\x18\x03 \x01(\x01\x12\x0f\n\x07min_y_m\x18\x04 \x01(\x01\x12\x0f\n\x07max_x_m\x18\x05 \x01(\x01\x12\x0f\n\x07max_y_m\x18\x06 \x01(\x01\x12\x0f\n\x07submaps\x18\x07 \x01(\r\x12\x0c\n\x04made\x18\x08 \x01(\x08\"L\n\x13ListMapTilesRequest\x12\x0e\n\x06parent\x18\x01 \x01(\t\x12\x11\n\tpage_size\x18\x02 \x01(\x05\x12\x12\n\npage_token\x18\x03 \x01(\t\"W\n\x14ListMapTilesResponse\x12&\n\tmap_tiles\x18\x01 \x03(\x0b\x32\x13.revisit.v1.MapTile\x12\x17\n\x0fnext_page_token\x18\x02 \x01(\t\"\xef\x01\n\x16\x44ownloadMapTileRequest\x12\x0c\n\x04name\x18\x01 \x01(\t\x12\x39\n\x06\x66ormat\x18\x02 \x01(\x0e\x32).revisit.v1.DownloadMapTileRequest.Format\x12\x15\n\x08\x61s_of_ns\x18\x03 \x01(\x03H\x00\x88\x01\x01\x12\x0c\n\x04\x65ver\x18\x04 \x01(\x08\"Z\n\x06\x46ormat\x12\x16\n\x12\x46ORMAT_UNSPECIFIED\x10\x00\x12\x07\n\x03PCD\x10\x01\x12\x07\n\x03PLY\x10\x02\x12\x07\n\x03NPY\x10\x03\x12\x08\n\x04MESH\x10\x04\x12\n\n\x06NEURAL\x10\x05\x12\x07\n\x03GLB\x10\x06\x42\x0b\n\t_as_of_ns\"M\n\x17\x44ownloadMapTileResponse\x12\x12\n\nmedia_type\x18\x01 \x01(\t\x12\x10\n\x08\x66ilename\x18\x02 \x01(\t\x12\x0c\n\x04\x64\x61ta\x18\x03 \x01(\x0c\"\x94\x01\n\x1aMeasureMapDistancesRequest\x12\x0e\n\x06parent\x18\x01 \x01(\t\x12\r\n\x05\x66rame\x18\x02 \x01(\t\x12%\n\x08points_m\x18\x03 \x03(\x0b\x32\x13.revisit.v1.Vector3\x12\x15\n\x08\x61s_of_ns\x18\x04 \x01(\x03H\x00\x88\x01\x01\x12\x0c\n\x04\x65ver\x18\x05 \x01(\x08\x42\x0b\n\t_as_of_ns\"[\n\x0bMapDistance\x12\x17\n\ndistance_m\x18\x01 \x01(\x01H\x00\x88\x01\x01\x12\x16\n\tnearest_m\x18\x02 \x01(\x01H\x01\x88\x01\x01\x42\r\n\x0b_distance_mB\x0c\n\n_nearest_m\"m\n\x1bMeasureMapDistancesResponse\x12\x13\n\x0bmap_version\x18\x01 \x01(\x04\x12\r\n\x05\x66rame\x18\x02 \x01(\t\x12*\n\tdistances\x18\x03 \x03(\x0b\x32\x17.revisit.v1.MapDistance\"\xaf\x01\n\x14\x46indMapPointsRequest\x12\x0e\n\x06parent\x18\x01 \x01(\t\x12\r\n\x05\x66rame\x18\x02 \x01(\t\x12%\n\x08\x63\x65ntre_m\x18\x03 \x01(\x0b\x32\x13.revisit.v1.Vector3\x12\x10\n\x08within_m\x18\x04 \x01(\x01\x12\r\n\x05limit\x18\x05 \x01(\x05\x12\x15\n\x08\x61s_of_ns\x18\x06 \x01(\x03H\x00\x88\x01\x01\x12\x0c\n\x04\x65ver\x18\x07 \x01(\x08\x42\x0b\n\t_as_of_ns\"X\n\x08MapPoint\x12\'\n\nposition_m\x18\x01 \x01(\x0b\x32\x13.revisit.v1.Vector3\x12#\n\x06normal\x18\x02 \x01(\x0b\x32\x13.revisit.v1.Vector3\"p\n\x15\x46indMapPointsResponse\x12\x13\n\x0bmap_version\x18\x01 \x01(\x04\x12\r\n\x05\x66rame\x18\x02 \x01(\t\x12$\n\x06points\x18\x03 \x03(\x0b\x32\x14.revisit.v1.MapPoint\x12\r\n\x05total\x18\x04 \x01(\r2\xff\x02\n\x0eMapTileService\x12Q\n\x0cListMapTiles\x12\x1f.revisit.v1.ListMapTilesRequest\x1a .revisit.v1.ListMapTilesResponse\x12\\\n\x0f\x44ownloadMapTile\x12\".revisit.v1.DownloadMapTileRequest\x1a#.revisit.v1.DownloadMapTileResponse0\x01\x12\x66\n\x13MeasureMapDistances\x12&.revisit.v1.MeasureMapDistancesRequest\x1a\'.revisit.v1.MeasureMapDistancesResponse\x12T\n\rFindMapPoints\x12 .revisit.v1.FindMapPointsRequest\x1a!.revisit.v1.FindMapPointsResponseb\x06proto3')
 
 _globals = globals()
 _builder.BuildMessageAndEnumDescriptors(DESCRIPTOR, _globals)
@@ -39,23 +39,23 @@ if not _descriptor._USE_C_DESCRIPTORS:
   _globals['_LISTMAPTILESRESPONSE']._serialized_start=286
   _globals['_LISTMAPTILESRESPONSE']._serialized_end=373
   _globals['_DOWNLOADMAPTILEREQUEST']._serialized_start=376
-  _globals['_DOWNLOADMAPTILEREQUEST']._serialized_end=565
-  _globals['_DOWNLOADMAPTILEREQUEST_FORMAT']._serialized_start=475
-  _globals['_DOWNLOADMAPTILEREQUEST_FORMAT']._serialized_end=565
-  _globals['_DOWNLOADMAPTILERESPONSE']._serialized_start=567
-  _globals['_DOWNLOADMAPTILERESPONSE']._serialized_end=644
-  _globals['_MEASUREMAPDISTANCESREQUEST']._serialized_start=646
-  _globals['_MEASUREMAPDISTANCESREQUEST']._serialized_end=744
-  _globals['_MAPDISTANCE']._serialized_start=746
-  _globals['_MAPDISTANCE']._serialized_end=837
-  _globals['_MEASUREMAPDISTANCESRESPONSE']._serialized_start=839
-  _globals['_MEASUREMAPDISTANCESRESPONSE']._serialized_end=948
-  _globals['_FINDMAPPOINTSREQUEST']._serialized_start=950
-  _globals['_FINDMAPPOINTSREQUEST']._serialized_end=1075
-  _globals['_MAPPOINT']._serialized_start=1077
-  _globals['_MAPPOINT']._serialized_end=1165
-  _globals['_FINDMAPPOINTSRESPONSE']._serialized_start=1167
-  _globals['_FINDMAPPOINTSRESPONSE']._serialized_end=1279
-  _globals['_MAPTILESERVICE']._serialized_start=1282
-  _globals['_MAPTILESERVICE']._serialized_end=1665
+  _globals['_DOWNLOADMAPTILEREQUEST']._serialized_end=615
+  _globals['_DOWNLOADMAPTILEREQUEST_FORMAT']._serialized_start=512
+  _globals['_DOWNLOADMAPTILEREQUEST_FORMAT']._serialized_end=602
+  _globals['_DOWNLOADMAPTILERESPONSE']._serialized_start=617
+  _globals['_DOWNLOADMAPTILERESPONSE']._serialized_end=694
+  _globals['_MEASUREMAPDISTANCESREQUEST']._serialized_start=697
+  _globals['_MEASUREMAPDISTANCESREQUEST']._serialized_end=845
+  _globals['_MAPDISTANCE']._serialized_start=847
+  _globals['_MAPDISTANCE']._serialized_end=938
+  _globals['_MEASUREMAPDISTANCESRESPONSE']._serialized_start=940
+  _globals['_MEASUREMAPDISTANCESRESPONSE']._serialized_end=1049
+  _globals['_FINDMAPPOINTSREQUEST']._serialized_start=1052
+  _globals['_FINDMAPPOINTSREQUEST']._serialized_end=1227
+  _globals['_MAPPOINT']._serialized_start=1229
+  _globals['_MAPPOINT']._serialized_end=1317
+  _globals['_FINDMAPPOINTSRESPONSE']._serialized_start=1319
+  _globals['_FINDMAPPOINTSRESPONSE']._serialized_end=1431
+  _globals['_MAPTILESERVICE']._serialized_start=1434
+  _globals['_MAPTILESERVICE']._serialized_end=1817
 # @@protoc_insertion_point(module_scope)

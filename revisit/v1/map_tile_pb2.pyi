@@ -47,7 +47,7 @@ class ListMapTilesResponse(_message.Message):
     def __init__(self, map_tiles: _Optional[_Iterable[_Union[MapTile, _Mapping]]] = ..., next_page_token: _Optional[str] = ...) -> None: ...
 
 class DownloadMapTileRequest(_message.Message):
-    __slots__ = ("name", "format")
+    __slots__ = ("name", "format", "as_of_ns", "ever")
     class Format(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
         __slots__ = ()
         FORMAT_UNSPECIFIED: _ClassVar[DownloadMapTileRequest.Format]
@@ -66,9 +66,13 @@ class DownloadMapTileRequest(_message.Message):
     GLB: DownloadMapTileRequest.Format
     NAME_FIELD_NUMBER: _ClassVar[int]
     FORMAT_FIELD_NUMBER: _ClassVar[int]
+    AS_OF_NS_FIELD_NUMBER: _ClassVar[int]
+    EVER_FIELD_NUMBER: _ClassVar[int]
     name: str
     format: DownloadMapTileRequest.Format
-    def __init__(self, name: _Optional[str] = ..., format: _Optional[_Union[DownloadMapTileRequest.Format, str]] = ...) -> None: ...
+    as_of_ns: int
+    ever: bool
+    def __init__(self, name: _Optional[str] = ..., format: _Optional[_Union[DownloadMapTileRequest.Format, str]] = ..., as_of_ns: _Optional[int] = ..., ever: _Optional[bool] = ...) -> None: ...
 
 class DownloadMapTileResponse(_message.Message):
     __slots__ = ("media_type", "filename", "data")
@@ -81,14 +85,18 @@ class DownloadMapTileResponse(_message.Message):
     def __init__(self, media_type: _Optional[str] = ..., filename: _Optional[str] = ..., data: _Optional[bytes] = ...) -> None: ...
 
 class MeasureMapDistancesRequest(_message.Message):
-    __slots__ = ("parent", "frame", "points_m")
+    __slots__ = ("parent", "frame", "points_m", "as_of_ns", "ever")
     PARENT_FIELD_NUMBER: _ClassVar[int]
     FRAME_FIELD_NUMBER: _ClassVar[int]
     POINTS_M_FIELD_NUMBER: _ClassVar[int]
+    AS_OF_NS_FIELD_NUMBER: _ClassVar[int]
+    EVER_FIELD_NUMBER: _ClassVar[int]
     parent: str
     frame: str
     points_m: _containers.RepeatedCompositeFieldContainer[_geometry_pb2.Vector3]
-    def __init__(self, parent: _Optional[str] = ..., frame: _Optional[str] = ..., points_m: _Optional[_Iterable[_Union[_geometry_pb2.Vector3, _Mapping]]] = ...) -> None: ...
+    as_of_ns: int
+    ever: bool
+    def __init__(self, parent: _Optional[str] = ..., frame: _Optional[str] = ..., points_m: _Optional[_Iterable[_Union[_geometry_pb2.Vector3, _Mapping]]] = ..., as_of_ns: _Optional[int] = ..., ever: _Optional[bool] = ...) -> None: ...
 
 class MapDistance(_message.Message):
     __slots__ = ("distance_m", "nearest_m")
@@ -109,18 +117,22 @@ class MeasureMapDistancesResponse(_message.Message):
     def __init__(self, map_version: _Optional[int] = ..., frame: _Optional[str] = ..., distances: _Optional[_Iterable[_Union[MapDistance, _Mapping]]] = ...) -> None: ...
 
 class FindMapPointsRequest(_message.Message):
-    __slots__ = ("parent", "frame", "centre_m", "within_m", "limit")
+    __slots__ = ("parent", "frame", "centre_m", "within_m", "limit", "as_of_ns", "ever")
     PARENT_FIELD_NUMBER: _ClassVar[int]
     FRAME_FIELD_NUMBER: _ClassVar[int]
     CENTRE_M_FIELD_NUMBER: _ClassVar[int]
     WITHIN_M_FIELD_NUMBER: _ClassVar[int]
     LIMIT_FIELD_NUMBER: _ClassVar[int]
+    AS_OF_NS_FIELD_NUMBER: _ClassVar[int]
+    EVER_FIELD_NUMBER: _ClassVar[int]
     parent: str
     frame: str
     centre_m: _geometry_pb2.Vector3
     within_m: float
     limit: int
-    def __init__(self, parent: _Optional[str] = ..., frame: _Optional[str] = ..., centre_m: _Optional[_Union[_geometry_pb2.Vector3, _Mapping]] = ..., within_m: _Optional[float] = ..., limit: _Optional[int] = ...) -> None: ...
+    as_of_ns: int
+    ever: bool
+    def __init__(self, parent: _Optional[str] = ..., frame: _Optional[str] = ..., centre_m: _Optional[_Union[_geometry_pb2.Vector3, _Mapping]] = ..., within_m: _Optional[float] = ..., limit: _Optional[int] = ..., as_of_ns: _Optional[int] = ..., ever: _Optional[bool] = ...) -> None: ...
 
 class MapPoint(_message.Message):
     __slots__ = ("position_m", "normal")

@@ -27,7 +27,8 @@ if _version_not_supported:
 
 class MapTileServiceStub:
     """Tiles: a version of a map piece by piece. Squares of one size on a grid over each frame of the map, with the surfaces
-    of all submaps that reach them fused to one. A worker makes a tile when it is asked for first; it is kept.
+    of all submaps that reach them fused to one: the surface that the latest drive left, unless asked otherwise. A worker
+    makes a tile when it is asked for first; it is kept.
     """
 
     def __init__(self, channel):
@@ -60,7 +61,8 @@ class MapTileServiceStub:
 
 class MapTileServiceServicer:
     """Tiles: a version of a map piece by piece. Squares of one size on a grid over each frame of the map, with the surfaces
-    of all submaps that reach them fused to one. A worker makes a tile when it is asked for first; it is kept.
+    of all submaps that reach them fused to one: the surface that the latest drive left, unless asked otherwise. A worker
+    makes a tile when it is asked for first; it is kept.
     """
 
     def ListMapTiles(self, request, context):
@@ -124,7 +126,8 @@ def add_MapTileServiceServicer_to_server(servicer, server):
  # This class is part of an EXPERIMENTAL API.
 class MapTileService:
     """Tiles: a version of a map piece by piece. Squares of one size on a grid over each frame of the map, with the surfaces
-    of all submaps that reach them fused to one. A worker makes a tile when it is asked for first; it is kept.
+    of all submaps that reach them fused to one: the surface that the latest drive left, unless asked otherwise. A worker
+    makes a tile when it is asked for first; it is kept.
     """
 
     @staticmethod

@@ -263,24 +263,60 @@ class MapMerge(_message.Message):
     def __init__(self, name: _Optional[str] = ..., source: _Optional[str] = ..., version_before: _Optional[int] = ..., version: _Optional[int] = ..., sessions: _Optional[_Iterable[str]] = ..., report: _Optional[_Union[_struct_pb2.Struct, _Mapping]] = ..., changes: _Optional[_Iterable[_Union[MapChange, _Mapping]]] = ..., created_at_ns: _Optional[int] = ..., reverted_at_ns: _Optional[int] = ...) -> None: ...
 
 class MapChange(_message.Message):
-    __slots__ = ("kind", "centre_m", "extent_m", "points")
+    __slots__ = ("kind", "centre_m", "extent_m", "points", "moved_from_m", "frame", "session", "stamp_ns", "before_ns")
     class Kind(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
         __slots__ = ()
         KIND_UNSPECIFIED: _ClassVar[MapChange.Kind]
         VANISHED: _ClassVar[MapChange.Kind]
         APPEARED: _ClassVar[MapChange.Kind]
+        MOVED: _ClassVar[MapChange.Kind]
+        BACK: _ClassVar[MapChange.Kind]
     KIND_UNSPECIFIED: MapChange.Kind
     VANISHED: MapChange.Kind
     APPEARED: MapChange.Kind
+    MOVED: MapChange.Kind
+    BACK: MapChange.Kind
     KIND_FIELD_NUMBER: _ClassVar[int]
     CENTRE_M_FIELD_NUMBER: _ClassVar[int]
     EXTENT_M_FIELD_NUMBER: _ClassVar[int]
     POINTS_FIELD_NUMBER: _ClassVar[int]
+    MOVED_FROM_M_FIELD_NUMBER: _ClassVar[int]
+    FRAME_FIELD_NUMBER: _ClassVar[int]
+    SESSION_FIELD_NUMBER: _ClassVar[int]
+    STAMP_NS_FIELD_NUMBER: _ClassVar[int]
+    BEFORE_NS_FIELD_NUMBER: _ClassVar[int]
     kind: MapChange.Kind
     centre_m: _geometry_pb2.Vector3
     extent_m: _geometry_pb2.Vector3
     points: int
-    def __init__(self, kind: _Optional[_Union[MapChange.Kind, str]] = ..., centre_m: _Optional[_Union[_geometry_pb2.Vector3, _Mapping]] = ..., extent_m: _Optional[_Union[_geometry_pb2.Vector3, _Mapping]] = ..., points: _Optional[int] = ...) -> None: ...
+    moved_from_m: _geometry_pb2.Vector3
+    frame: str
+    session: str
+    stamp_ns: int
+    before_ns: int
+    def __init__(self, kind: _Optional[_Union[MapChange.Kind, str]] = ..., centre_m: _Optional[_Union[_geometry_pb2.Vector3, _Mapping]] = ..., extent_m: _Optional[_Union[_geometry_pb2.Vector3, _Mapping]] = ..., points: _Optional[int] = ..., moved_from_m: _Optional[_Union[_geometry_pb2.Vector3, _Mapping]] = ..., frame: _Optional[str] = ..., session: _Optional[str] = ..., stamp_ns: _Optional[int] = ..., before_ns: _Optional[int] = ...) -> None: ...
+
+class ListMapChangesRequest(_message.Message):
+    __slots__ = ("parent", "page_size", "page_token", "after_ns", "until_ns")
+    PARENT_FIELD_NUMBER: _ClassVar[int]
+    PAGE_SIZE_FIELD_NUMBER: _ClassVar[int]
+    PAGE_TOKEN_FIELD_NUMBER: _ClassVar[int]
+    AFTER_NS_FIELD_NUMBER: _ClassVar[int]
+    UNTIL_NS_FIELD_NUMBER: _ClassVar[int]
+    parent: str
+    page_size: int
+    page_token: str
+    after_ns: int
+    until_ns: int
+    def __init__(self, parent: _Optional[str] = ..., page_size: _Optional[int] = ..., page_token: _Optional[str] = ..., after_ns: _Optional[int] = ..., until_ns: _Optional[int] = ...) -> None: ...
+
+class ListMapChangesResponse(_message.Message):
+    __slots__ = ("map_changes", "next_page_token")
+    MAP_CHANGES_FIELD_NUMBER: _ClassVar[int]
+    NEXT_PAGE_TOKEN_FIELD_NUMBER: _ClassVar[int]
+    map_changes: _containers.RepeatedCompositeFieldContainer[MapChange]
+    next_page_token: str
+    def __init__(self, map_changes: _Optional[_Iterable[_Union[MapChange, _Mapping]]] = ..., next_page_token: _Optional[str] = ...) -> None: ...
 
 class ListMapMergesRequest(_message.Message):
     __slots__ = ("parent", "page_size", "page_token")

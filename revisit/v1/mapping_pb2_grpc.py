@@ -80,6 +80,11 @@ class MappingServiceStub:
                 request_serializer=revisit_dot_v1_dot_mapping__pb2.RevertMapMergeRequest.SerializeToString,
                 response_deserializer=revisit_dot_v1_dot_mapping__pb2.RevertMapMergeResponse.FromString,
                 _registered_method=True)
+        self.ListMapChanges = channel.unary_unary(
+                '/revisit.v1.MappingService/ListMapChanges',
+                request_serializer=revisit_dot_v1_dot_mapping__pb2.ListMapChangesRequest.SerializeToString,
+                response_deserializer=revisit_dot_v1_dot_mapping__pb2.ListMapChangesResponse.FromString,
+                _registered_method=True)
         self.GetCorrection = channel.unary_unary(
                 '/revisit.v1.MappingService/GetCorrection',
                 request_serializer=revisit_dot_v1_dot_mapping__pb2.GetCorrectionRequest.SerializeToString,
@@ -159,6 +164,14 @@ class MappingServiceServicer:
         context.set_details('Method not implemented!')
         raise NotImplementedError('Method not implemented!')
 
+    def ListMapChanges(self, request, context):
+        """What changed between the drives of a version: things that appeared, vanished, moved, came back. A worker compares
+        them when this is asked for first; NO_ANSWER until it has: ask again.
+        """
+        context.set_code(grpc.StatusCode.UNIMPLEMENTED)
+        context.set_details('Method not implemented!')
+        raise NotImplementedError('Method not implemented!')
+
     def GetCorrection(self, request, context):
         """Where the odometry frame of a session lies in the map. NOT_READY where no version of the map has the session.
         """
@@ -220,6 +233,11 @@ def add_MappingServiceServicer_to_server(servicer, server):
                     servicer.RevertMapMerge,
                     request_deserializer=revisit_dot_v1_dot_mapping__pb2.RevertMapMergeRequest.FromString,
                     response_serializer=revisit_dot_v1_dot_mapping__pb2.RevertMapMergeResponse.SerializeToString,
+            ),
+            'ListMapChanges': grpc.unary_unary_rpc_method_handler(
+                    servicer.ListMapChanges,
+                    request_deserializer=revisit_dot_v1_dot_mapping__pb2.ListMapChangesRequest.FromString,
+                    response_serializer=revisit_dot_v1_dot_mapping__pb2.ListMapChangesResponse.SerializeToString,
             ),
             'GetCorrection': grpc.unary_unary_rpc_method_handler(
                     servicer.GetCorrection,
@@ -476,6 +494,33 @@ class MappingService:
             '/revisit.v1.MappingService/RevertMapMerge',
             revisit_dot_v1_dot_mapping__pb2.RevertMapMergeRequest.SerializeToString,
             revisit_dot_v1_dot_mapping__pb2.RevertMapMergeResponse.FromString,
+            options,
+            channel_credentials,
+            insecure,
+            call_credentials,
+            compression,
+            wait_for_ready,
+            timeout,
+            metadata,
+            _registered_method=True)
+
+    @staticmethod
+    def ListMapChanges(request,
+            target,
+            options=(),
+            channel_credentials=None,
+            call_credentials=None,
+            insecure=False,
+            compression=None,
+            wait_for_ready=None,
+            timeout=None,
+            metadata=None):
+        return grpc.experimental.unary_unary(
+            request,
+            target,
+            '/revisit.v1.MappingService/ListMapChanges',
+            revisit_dot_v1_dot_mapping__pb2.ListMapChangesRequest.SerializeToString,
+            revisit_dot_v1_dot_mapping__pb2.ListMapChangesResponse.FromString,
             options,
             channel_credentials,
             insecure,

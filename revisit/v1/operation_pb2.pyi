@@ -33,6 +33,7 @@ class Operation(_message.Message):
         RECALL_LOOPS: _ClassVar[Operation.Kind]
         MAKE_MESH: _ClassVar[Operation.Kind]
         RELOCALISE: _ClassVar[Operation.Kind]
+        FIND_CHANGES: _ClassVar[Operation.Kind]
     KIND_UNSPECIFIED: Operation.Kind
     DESCRIBE_SUBMAP: Operation.Kind
     SEARCH_CLOUD: Operation.Kind
@@ -46,6 +47,7 @@ class Operation(_message.Message):
     RECALL_LOOPS: Operation.Kind
     MAKE_MESH: Operation.Kind
     RELOCALISE: Operation.Kind
+    FIND_CHANGES: Operation.Kind
     class State(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
         __slots__ = ()
         STATE_UNSPECIFIED: _ClassVar[Operation.State]

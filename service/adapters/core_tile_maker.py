@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from revisit.core.codec.tile import FusedTile
+from revisit.core.merge.evidence import DatedChange
 from revisit.service.ports.map_merger import PlacedSubmapMap
 
 if TYPE_CHECKING:
     from revisit.core.implicit_map import NeuralMap
+    from revisit.core.merge.fused import PlacedMap
 
 HELD_MAPS = 128
 """Neural maps that are kept decoded, 1 MB each: neighbouring tiles are made of the same."""
@@ -30,11 +32,17 @@ class CoreTileMaker:
         self, placed: Sequence[PlacedSubmapMap], centre_m: NDArray[np.float64], read: Callable[[str], bytes]
     ) -> FusedTile | None:
         """See `TileMaker`."""
-        from revisit.core.merge.fused import PlacedMap
         from revisit.core.merge.tiles import fuse_tile
 
-        maps = (PlacedMap(self._neural_map(one.sha256, read), one.T_map_submap) for one in placed)
-        return fuse_tile(maps, centre_m)
+        return fuse_tile(self._placed(placed, read), centre_m)
+
+    def changes(
+        self, placed: Sequence[PlacedSubmapMap], centre_m: NDArray[np.float64], read: Callable[[str], bytes]
+    ) -> list[DatedChange]:
+        """See `TileMaker`."""
+        from revisit.core.merge.tiles import changes_in_tile
+
+        return changes_in_tile(self._placed(placed, read), centre_m)
 
     def distances_m(
         self, neural_map: bytes, points: NDArray[np.float64]
@@ -44,6 +52,12 @@ class CoreTileMaker:
         from revisit.service.adapters.core_neural_maps import decoded
 
         return distances_m(decoded(neural_map), points)
+
+    def _placed(self, placed: Iterable[PlacedSubmapMap], read: Callable[[str], bytes]) -> Iterator[PlacedMap]:
+        from revisit.core.merge.fused import PlacedMap
+
+        for one in placed:
+            yield PlacedMap(self._neural_map(one.sha256, read), one.T_map_submap, one.session, one.stamp_ns)
 
     def _neural_map(self, sha256: str, read: Callable[[str], bytes]) -> NeuralMap:
         """A neural map by its hash, independent of the tenant."""

@@ -23,7 +23,8 @@ async def download_map_tile(
     cases: UseCases, tenant: TenantId, request: map_tile_pb2.DownloadMapTileRequest
 ) -> AsyncIterator[Fields]:
     """A file in chunks; the first one has its type."""
-    key, what = names.tile_key(request.name), requests.tile_download(request.format)
+    key = names.tile_key(request.name, moment=requests.moment(request))
+    what = requests.tile_download(request.format)
     await cases.map_tiles.make(tenant, key)
     with cases.budget.hold(tenant) as held:
         file = await cases.map_tiles.download(tenant, key, *what, room=held.wait_for)
@@ -39,7 +40,9 @@ async def measure_map_distances(
     if len(request.points_m) > limits.DISTANCE_POINTS.most:
         raise BadField(f"points_m must hold {limits.DISTANCE_POINTS} points", field="points_m")
     points = np.array([[one.x, one.y, one.z] for one in request.points_m], dtype=np.float64).reshape(-1, 3)
-    question = MapQuestion(*names.version_key(request.parent, "parent"), request.frame, points)
+    question = MapQuestion(
+        *names.version_key(request.parent, "parent"), request.frame, points, moment=requests.moment(request)
+    )
     return distance_fields(await cases.map_tiles.distances(tenant, question))
 
 
@@ -47,7 +50,8 @@ async def find_map_points(cases: UseCases, tenant: TenantId, request: map_tile_p
     """The points of the surface around one."""
     key, centre = names.version_key(request.parent, "parent"), request.centre_m
     around = np.array([[centre.x, centre.y, centre.z]])
-    question = MapQuestion(*key, request.frame, around, request.within_m, request.limit or MapQuestion.limit)
+    limit, moment = request.limit or MapQuestion.limit, requests.moment(request)
+    question = MapQuestion(*key, request.frame, around, request.within_m, limit, moment)
     return point_fields(await cases.map_tiles.points(tenant, question))
 
 

@@ -8,6 +8,7 @@ from typing import Any
 from revisit.service.calls.operations import asked_fields
 from revisit.service.domain.identity import TenantId
 from revisit.service.domain.records import MapMergeRecord
+from revisit.service.features.changes.calls import MapChangeView
 from revisit.service.features.corrections.calls import CorrectionView
 from revisit.service.features.merging.calls import MergeMap
 from revisit.service.features.optimisation.calls import MapVersionView, SubmapPoseView
@@ -81,8 +82,15 @@ def merge_fields(record: MapMergeRecord) -> Fields:
 
 
 def _change_fields(change: Mapping[str, Any]) -> Fields:
-    """The fields of a MapChange."""
-    return {**change, "centre_m": vector_fields(change["centre_m"]), "extent_m": vector_fields(change["extent_m"])}
+    """The fields of a MapChange; those that are None are left out."""
+    places = ("centre_m", "extent_m", "moved_from_m")
+    known = {name: its for name, its in change.items() if its is not None}
+    return {name: vector_fields(its) if name in places else its for name, its in known.items()}
+
+
+def change_fields(view: MapChangeView) -> Fields:
+    """The fields of a MapChange between the drives of a map."""
+    return _change_fields({**vars(view.change), "session": view.session.name})
 
 
 def correction_fields(view: CorrectionView) -> Fields:

@@ -16,7 +16,13 @@ from revisit.service.calls.anchors import anchor_fields
 from revisit.service.calls.catalogue import map_fields, robot_fields, session_fields, submap_fields
 from revisit.service.calls.loops import loop_event_fields, loop_fields
 from revisit.service.calls.map_parts import file_fields, tile_fields
-from revisit.service.calls.mapping import correction_fields, merge_fields, submap_pose_fields, version_fields
+from revisit.service.calls.mapping import (
+    change_fields,
+    correction_fields,
+    merge_fields,
+    submap_pose_fields,
+    version_fields,
+)
 from revisit.service.calls.operations import asked_fields, operation_fields
 from revisit.service.calls.push import delivery_fields, webhook_fields
 from revisit.service.domain.identity import TenantId
@@ -54,6 +60,7 @@ USES: Mapping[str, Callable[[UseCases], Callable[..., Awaitable[Any]]]] = {
     "RevertMapMerge": lambda cases: cases.map_merges.revert,
     "GetCorrection": lambda cases: cases.corrections.get,
     "ListMapTiles": lambda cases: cases.map_tiles.list,
+    "ListMapChanges": lambda cases: cases.map_changes.list,
     "PublishMapFile": lambda cases: cases.map_files.publish,
     "GetMapFile": lambda cases: cases.map_files.get,
     "ListMapFiles": lambda cases: cases.map_files.list,
@@ -81,6 +88,7 @@ FIELDS: Mapping[str, Callable[[Any], Fields]] = {
     "MapVersion": version_fields,
     "SubmapPose": submap_pose_fields,
     "MapMerge": merge_fields,
+    "MapChange": change_fields,
     "Correction": correction_fields,
     "MapTile": tile_fields,
     "MapFile": file_fields,

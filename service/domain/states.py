@@ -99,6 +99,7 @@ class OperationKind(StrEnum):
     PUBLISH_MAP = "PUBLISH_MAP"
     RECALL_LOOPS = "RECALL_LOOPS"
     MAKE_MESH = "MAKE_MESH"
+    FIND_CHANGES = "FIND_CHANGES"
 
 
 class MapFileState(StrEnum):

@@ -39,10 +39,15 @@ class AlignedMaps:
 
 @dataclass(frozen=True)
 class PlacedSubmapMap:
-    """A neural map by its blob, and where its submap lies: a `PlacedMap` of `core.merge` before it is read."""
+    """A neural map by its blob, and where its submap lies: a `PlacedMap` of `core.merge` before it is read.
+
+    Its `session` and `stamp_ns` where surfaces of several drives are told apart.
+    """
 
     sha256: str
     T_map_submap: Matrix4
+    session: int = 0
+    stamp_ns: int = 0
 
 
 class MapMerger(Protocol):

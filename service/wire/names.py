@@ -8,7 +8,7 @@ from typing import Any
 from revisit.core.errors import BadField
 from revisit.service.domain import limits
 from revisit.service.domain.identity import SessionKey, SubmapKey
-from revisit.service.ports.map_tiles import TileKey
+from revisit.service.ports.map_tiles import NOW, Moment, TileKey
 
 
 def segments(name: str, pattern: str, field: str) -> list[str]:
@@ -52,10 +52,10 @@ def version_key(name: str, field: str = "name") -> tuple[str, int]:
     return of_map, version_number(version, field)
 
 
-def tile_key(name: str, field: str = "name") -> TileKey:
-    """Of `maps/{map}/versions/{version}/tiles/{tile}`."""
+def tile_key(name: str, field: str = "name", moment: Moment = NOW) -> TileKey:
+    """Of `maps/{map}/versions/{version}/tiles/{tile}`, at a moment."""
     of_map, version, tile = segments(name, "maps/*/versions/*/tiles/*", field)
-    return TileKey.of(of_map, version_number(version, field), tile)
+    return TileKey.of(of_map, version_number(version, field), tile, moment)
 
 
 def file_key(name: str, field: str = "name") -> tuple[str, int]:

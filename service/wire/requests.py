@@ -14,6 +14,7 @@ from revisit.core.errors import BadField, BadTransform, EmptyCloud, MalformedBod
 from revisit.core.geometry import se3
 from revisit.core.geometry.se3 import Matrix4
 from revisit.formats import POINTCLOUD2, Encoding, PackedCloud, PointField
+from revisit.service.domain import limits
 from revisit.service.domain.identity import SessionKey
 from revisit.service.domain.states import EventKind
 from revisit.service.features.catalogue.downloads import Download, DownloadKind
@@ -21,6 +22,7 @@ from revisit.service.features.ingest.calls import AppendScan
 from revisit.service.features.ingest.clouds import EncodedCloud
 from revisit.service.features.resources.paging import PageRequest
 from revisit.service.features.waiting.freshness import DEFAULT_WAIT_S, Freshness
+from revisit.service.ports.map_tiles import Moment
 from revisit.service.wire.fields import Fields
 from revisit.v1 import cloud_pb2, event_pb2, geometry_pb2, ingest_pb2, loop_closure_pb2, map_tile_pb2, submap_pb2
 
@@ -90,6 +92,14 @@ def download(file_format: int) -> tuple[DownloadKind, str | None]:
 def tile_download(file_format: int) -> tuple[DownloadKind, str | None]:
     """As `download`, of a tile. Raises BadField."""
     return _download(_OF_TILE, file_format)
+
+
+def moment(request: Any) -> Moment:
+    """Which surface of a map is meant. Raises BadField."""
+    as_of_ns = optional(request, "as_of_ns")
+    if as_of_ns is not None:
+        limits.STAMP_NS.validated(as_of_ns, "as_of_ns")
+    return Moment(as_of_ns, request.ever)
 
 
 def _download(known: dict[int, tuple[DownloadKind, str | None]], number: int) -> tuple[DownloadKind, str | None]:

@@ -2,26 +2,17 @@
 
 from __future__ import annotations
 
-import dataclasses
 from dataclasses import dataclass
 
 import numpy as np
 import pytest
 
-from revisit.core.config import PipelineConfig
 from revisit.core.merge.changes import changes_between
 from revisit.core.merge.evidence import ChangedThing, ChangeKind
-from revisit.core.merge.fused import PlacedMap
 from revisit.core.merge.overlap import pairs_in_reach
-from revisit.core.model_bundle import load_packaged_models
-from revisit.core.pipeline import describe
-from revisit.core.scan import Scan
-from revisit.core.submap import Submap, SubmapBuilder
 from revisit.evaluation.simulator.city import World, build_city
-from revisit.evaluation.simulator.lidar import simulate
 from revisit.evaluation.simulator.paths import Path
-from revisit.evaluation.simulator.sensors import HDL64
-from revisit.evaluation.simulator.trajectories import drive
+from tests.support.simulated_days import day, parked_anew
 
 pytestmark = pytest.mark.slow
 
@@ -55,19 +46,6 @@ class Slots:
         return bool((np.linalg.norm(both - np.array(thing.centre_m[:2]), axis=1) < CAR_M).any())
 
 
-def day(world: World, number: int, lane_m: float) -> list[PlacedMap]:
-    """The neural maps of a drive along the street, at their true poses."""
-    models, config = load_packaged_models(), PipelineConfig()
-    builder, maps = SubmapBuilder(config.submap), []
-    trajectory = drive(STREET, world.ground, lane_m=lane_m, spacing_m=1.5, sway_seed=number, start_s=100.0 * number)
-    for scan in simulate(world, trajectory, HDL64, seed=number):
-        window = builder.add(Scan.validated(scan.points, scan.T_world_sensor, scan.stamp_ns))
-        if window is not None:
-            submap = Submap.from_scans(window, config.submap)
-            maps.append(PlacedMap(describe(submap, models, config).neural_map, submap.T_odom_submap))
-    return maps
-
-
 def slots_of(world: World, later: World) -> Slots:
     taken = [
         np.array([one.parking.occupant(slot, 1) is not None for slot in range(len(one.parking.yaw))])
@@ -79,8 +57,8 @@ def slots_of(world: World, later: World) -> Slots:
 def scores(seed: int) -> tuple[int, int, int, int]:
     """Right and wrong things, and found and wanted slots, of one street whose parked cars are all drawn anew."""
     world = build_city([STREET], seed=seed, drive=STREET)
-    later = dataclasses.replace(world, parking=dataclasses.replace(world.parking, seed=world.parking.seed + 1))
-    days = day(world, 1, 1.7), day(later, 2, 1.2)
+    later = parked_anew(world, 1)
+    days = day(world, STREET, 1, 1.7, 100.0), day(later, STREET, 2, 1.2, 200.0)
     places = [np.stack([one.T_map_submap[:3, 3] for one in maps]) for maps in days]
     pairs = [(days[0][one], days[1][other]) for one, other in pairs_in_reach(places[0], places[1], 25.0, most=100)]
     slots, things = slots_of(world, later), changes_between(pairs)
@@ -89,7 +67,7 @@ def scores(seed: int) -> tuple[int, int, int, int]:
     wrong = sum(not hit.any() and not slots.swapped(thing) for thing, hit in hits)
     inside = (slots.places[:, 0] > ENDS_M[0]) & (slots.places[:, 0] < ENDS_M[1])
     found, wanted = 0, 0
-    for kind in ChangeKind:
+    for kind in (ChangeKind.VANISHED, ChangeKind.APPEARED):
         of_kind = slots.changed(kind) & inside
         seen = np.any([hit for thing, hit in hits if thing.kind is kind] or [np.zeros_like(inside)], axis=0)
         found, wanted = found + int((of_kind & seen).sum()), wanted + int(of_kind.sum())

@@ -6,7 +6,7 @@ Tiles are made by a worker when somebody asks for them for the first time, and k
 from __future__ import annotations
 
 import asyncio
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import partial
 from typing import Any
 
@@ -14,13 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from revisit.core.errors import BadField
-from revisit.service.capacity.backlog import same_job
 from revisit.service.domain import limits
-from revisit.service.domain.errors import NoAnswer, error_of
+from revisit.service.domain.errors import NoAnswer
 from revisit.service.domain.identity import TenantId
 from revisit.service.domain.policy import Policy
-from revisit.service.domain.records import JobRecord
-from revisit.service.domain.states import OperationKind, OperationState
+from revisit.service.domain.states import OperationKind
 from revisit.service.features.catalogue.downloads import (
     RENDERING_BYTES,
     Download,
@@ -30,12 +28,13 @@ from revisit.service.features.catalogue.downloads import (
     any_room,
 )
 from revisit.service.features.operations.calls import Operations
+from revisit.service.features.operations.joined_jobs import JoinedJobs
 from revisit.service.features.resources.call_context import CallContext
 from revisit.service.features.resources.paging import Page, PageRequest, as_it_is
 from revisit.service.features.tiles.files import render_tile
 from revisit.service.features.tiles.rows import Tiling, read_plan, read_tiling
 from revisit.service.ports.blobs import TILE_BLOB
-from revisit.service.ports.map_tiles import TileKey, stored_tile
+from revisit.service.ports.map_tiles import NOW, Moment, TileKey, stored_tile
 from revisit.service.ports.transactions import UnitOfWork
 
 
@@ -87,6 +86,7 @@ class MapQuestion:
     points_m: NDArray[np.float64]
     within_m: float | None = None
     limit: int = 1000
+    moment: Moment = NOW
 
 
 class MapTiles:
@@ -95,7 +95,7 @@ class MapTiles:
     def __init__(self, context: CallContext, operations: Operations, rendering: Rendering) -> None:
         """Tiles are made by jobs: `operations` waits for them, `rendering` makes their files."""
         self._context = context
-        self._operations = operations
+        self._jobs = JoinedJobs(context, operations)
         self._rendering = rendering
 
     async def list(self, tenant: TenantId, map_id: str, version: int, page: PageRequest) -> Page[MapTileView]:
@@ -148,8 +148,8 @@ class MapTiles:
         """The hash of the blob of a tile, made by a worker where it is missing."""
         sha256 = await self._context.storage.read(partial(self._known, tenant=tenant, key=key))
         if sha256 is None:
-            payload = {"map_id": key.map_id, "version": key.version, "tile": key.tile_id}
-            await self._answer(tenant, OperationKind.MAKE_TILE, key.name, payload)
+            payload = {"map_id": key.map_id, "version": key.version, "tile": key.tile_id, **asdict(key.moment)}
+            await self._jobs.answer(tenant, OperationKind.MAKE_TILE, key.name, payload)
             sha256 = await self._context.storage.read(partial(self._known, tenant=tenant, key=key))
         if sha256 is None:
             raise NoAnswer("the tile was deleted while it was made; ask again")
@@ -173,31 +173,10 @@ class MapTiles:
         _require_few_tiles(tiling, question)
         payload = {
             "map_id": question.map_id, "version": question.version, "frame": frame, "points_m": points.tolist(),
-            "within_m": question.within_m, "limit": question.limit,
+            "within_m": question.within_m, "limit": question.limit, **asdict(question.moment),
         }  # fmt: skip
         subject = f"maps/{question.map_id}/versions/{question.version}"
-        return await self._answer(tenant, OperationKind.MEASURE_MAP, subject, payload)
-
-    async def _answer(
-        self, tenant: TenantId, kind: OperationKind, subject: str, payload: dict[str, Any]
-    ) -> dict[str, Any]:
-        """Queue a job, or join the same one, and wait for it. Raises the worker's error, NoAnswer, WorkersBusy."""
-        self._context.admission.require_storage()
-        post = partial(self._posted, tenant=tenant, kind=kind, subject=subject, payload=payload)
-        job = await self._context.storage.write(post)
-        operation = await self._operations.wait(tenant, job.operation_id, limits.TILE_WAIT_S)
-        if operation.failure_code is not None:
-            raise error_of(operation.failure_code, operation.failure_message or "")
-        if operation.result is None:
-            self._context.admission.require_running()
-            raise NoAnswer(f"no worker answered within {limits.TILE_WAIT_S:g} s; ask again")
-        return operation.result
-
-    def _posted(
-        self, uow: UnitOfWork, tenant: TenantId, kind: OperationKind, subject: str, payload: dict[str, Any]
-    ) -> JobRecord:
-        under_way = same_job(uow, tenant, kind, subject, payload, (OperationState.QUEUED, OperationState.RUNNING))
-        return under_way or self._context.jobs.post(uow, tenant, kind, subject, payload)
+        return await self._jobs.answer(tenant, OperationKind.MEASURE_MAP, subject, payload)
 
 
 def _tiles(
@@ -207,7 +186,7 @@ def _tiles(
     made = uow.map_tiles.distinct(tenant, "tile_id", map_id=map_id, version=version)
     shown = tiling.tiles()[after : after + limit]
     return [
-        MapTileView(key, *tiling.grid.bounds(key.cell), submaps, key.tile_id in made, number)
+        MapTileView(key, *tiling.grid.bounds(key.cell), submaps, key.stored_id in made, number)
         for number, (key, submaps) in enumerate(shown, after + 1)
     ]
 

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from revisit.core.codec.tile import StoredTile, pack_tile
+from revisit.core.geometry.tile_grid import Cell
 from revisit.service.domain.errors import NotFound, Unavailable
 from revisit.service.domain.identity import TenantId
 from revisit.service.domain.records import MapTileRecord
@@ -19,7 +20,7 @@ from revisit.service.features.tiles.rows import TilePlan, Tiling, read_plan, rea
 from revisit.service.ports.blobs import NEURAL_MAP_BLOB, TILE_BLOB
 from revisit.service.ports.job_context import JobContext
 from revisit.service.ports.job_queue import Lease
-from revisit.service.ports.map_tiles import TileKey, TileMaker, stored_tile
+from revisit.service.ports.map_tiles import Moment, TileKey, TileMaker, stored_tile
 from revisit.service.ports.transactions import UnitOfWork
 
 MOST_STORED = 4096
@@ -40,7 +41,7 @@ class TileMaking:
     def make(self, lease: Lease) -> None:
         """Make and store a tile. Raises NotFound for one that is gone, and the errors of the method."""
         payload, tenant = lease.job.payload, lease.job.tenant
-        key = TileKey.of(payload["map_id"], payload["version"], payload["tile"])
+        key = TileKey.of(payload["map_id"], payload["version"], payload["tile"], moment_of(payload))
         self._tile(tenant, key)
         self._context.complete(lease, {"tile": key.name})
 
@@ -57,16 +58,18 @@ class TileMaking:
         tiling = self._context.transactions.read(read).result()
         asked = np.array(payload["points_m"], dtype=np.float64).reshape(-1, 3)
         if payload["within_m"] is None:
-            result = self._distances(tenant, tiling, payload["frame"], asked)
+            result = self._distances(tenant, tiling, payload, asked)
         else:
             result = self._around(tenant, tiling, payload, asked[0])
         self._context.complete(lease, {"frame": payload["frame"], "version": payload["version"], **result})
 
-    def _distances(self, tenant: TenantId, tiling: Tiling, frame: str, points: NDArray[np.float64]) -> dict[str, Any]:
+    def _distances(
+        self, tenant: TenantId, tiling: Tiling, payload: dict[str, Any], points: NDArray[np.float64]
+    ) -> dict[str, Any]:
         distance, nearest = np.full(len(points), np.nan), np.full(len(points), np.inf)
         rows_of: dict[TileKey, list[int]] = defaultdict(list)
         for row, cell in enumerate(tiling.grid.cells(points)):
-            rows_of[TileKey(tiling.map_id, tiling.version, frame, cell)].append(row)
+            rows_of[_key(tiling, payload, cell)].append(row)
         for key, rows in sorted(rows_of.items(), key=lambda item: item[0].cell):
             tile = self._known(tenant, tiling, key)
             if tile is not None and tile.neural_map:
@@ -83,7 +86,7 @@ class TileMaking:
         """The points within a radius, the nearest first, at most as many as were asked for."""
         within_m, parts = float(payload["within_m"]), [np.zeros((0, 6))]
         for cell in tiling.grid.reached(centre[None], within_m):
-            tile = self._known(tenant, tiling, TileKey(tiling.map_id, tiling.version, payload["frame"], cell))
+            tile = self._known(tenant, tiling, _key(tiling, payload, cell))
             if tile is not None:
                 points = tile.points
                 parts.append(np.hstack([points.vertices + tile.centre_m, points.normals]))
@@ -95,7 +98,7 @@ class TileMaking:
 
     def _known(self, tenant: TenantId, tiling: Tiling, key: TileKey) -> StoredTile | None:
         """A tile, made where it is missing; None where no submap reaches it."""
-        if not len(tiling.near(key)):
+        if not len(tiling.reaching(key)):
             return None
         return StoredTile(self._context.blobs.get(tenant, TILE_BLOB, self._tile(tenant, key)))
 
@@ -134,11 +137,20 @@ class TileMaking:
         if stored_tile(uow, tenant, key) is None:
             uow.blobs.refer(tenant, [(TILE_BLOB, sha256)])
             row = MapTileRecord(
-                tenant, key.map_id, key.version, key.tile_id, sha256, len(plan.placed), self._context.clock.wall_ns()
+                tenant, key.map_id, key.version, key.stored_id, sha256, len(plan.placed), self._context.clock.wall_ns()
             )
             uow.map_tiles.add(row)
             _forget_oldest(uow, tenant, key.map_id)
         return True
+
+
+def moment_of(payload: dict[str, Any]) -> Moment:
+    """The moment that the payload of a job names; jobs of former versions of the service name none."""
+    return Moment(payload.get("as_of_ns"), payload.get("ever", False))
+
+
+def _key(tiling: Tiling, payload: dict[str, Any], cell: Cell) -> TileKey:
+    return TileKey(tiling.map_id, tiling.version, payload["frame"], cell, moment_of(payload))
 
 
 def _forget_oldest(uow: UnitOfWork, tenant: TenantId, map_id: str) -> None:

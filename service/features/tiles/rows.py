@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,7 +13,7 @@ from revisit.core.geometry.tile_grid import TileGrid
 from revisit.service.domain.errors import NotFound
 from revisit.service.domain.identity import TenantId
 from revisit.service.domain.policy import Policy
-from revisit.service.domain.records import SubmapRecord
+from revisit.service.domain.records import SessionPosesRecord, SubmapRecord
 from revisit.service.features.graph.session_poses import PackedSubmaps
 from revisit.service.ports.map_merger import PlacedSubmapMap
 from revisit.service.ports.map_tiles import TileKey
@@ -28,11 +28,15 @@ _NUMBERED_AT_ONCE = 1000
 
 @dataclass(frozen=True)
 class PlacedFrame:
-    """The submaps of one frame of a version, by session and in the order of their drives: numbers (n,) and poses."""
+    """The submaps of one frame of a version, by session and in the order of their drives: numbers (n,) and poses.
+
+    `sessions` (n,) are the numbers of theirs.
+    """
 
     frame: str
     numbers: NDArray[np.int64]
     T_map_submap: NDArray[np.float64]
+    sessions: NDArray[np.int64]
 
     @property
     def positions(self) -> NDArray[np.float64]:
@@ -41,12 +45,28 @@ class PlacedFrame:
 
 
 @dataclass(frozen=True)
+class PlannedMap:
+    """A neural map by its hash, where its submap lies (16), the number of its session, and when it was taken."""
+
+    sha256: str
+    T_map_submap: tuple[float, ...]
+    session: int
+    stamp_ns: int
+
+    def placed(self, *, dated: bool = True) -> PlacedSubmapMap:
+        """As the method takes it; without its drive where drives are not told apart."""
+        pose = np.reshape(self.T_map_submap, (4, 4))
+        drive = (self.session, self.stamp_ns) if dated else ()
+        return PlacedSubmapMap(self.sha256, pose, *drive)
+
+
+@dataclass(frozen=True)
 class TilePlan:
     """The sources of a tile: neural maps of submaps and where these lie in the frame; the middle of its square."""
 
     key: TileKey
     centre: tuple[float, float, float]
-    placed: tuple[tuple[str, tuple[float, ...]], ...]
+    placed: tuple[PlannedMap, ...]
 
     @property
     def centre_m(self) -> NDArray[np.float64]:
@@ -55,8 +75,8 @@ class TilePlan:
 
     @property
     def maps(self) -> list[PlacedSubmapMap]:
-        """As the method takes them."""
-        return [PlacedSubmapMap(sha256, np.reshape(pose, (4, 4))) for sha256, pose in self.placed]
+        """As the method takes them; without their drives where nothing is to be left out."""
+        return [one.placed(dated=not self.key.moment.ever) for one in self.placed]
 
 
 @dataclass(frozen=True)
@@ -68,6 +88,11 @@ class Tiling:
     grid: TileGrid
     reach_m: float
     frames: tuple[PlacedFrame, ...]
+
+    def is_of(self, other: Tiling) -> bool:
+        """Whether both are of the same submaps: poses come from the version."""
+        numbers = [[(one.frame, one.numbers.tolist()) for one in tiling.frames] for tiling in (self, other)]
+        return numbers[0] == numbers[1]
 
     def tiles(self) -> list[tuple[TileKey, int]]:
         """Every tile that a submap may reach into, with how many do, by frame, column and row."""
@@ -85,16 +110,15 @@ class Tiling:
             raise NotFound(f"version {self.version} of map {self.map_id} has the frames {known}: name one"[:200])
         return found[0]
 
-    def near(self, key: TileKey) -> NDArray[np.int64]:
-        """The submaps that may reach into a tile, the nearest to its middle first, at most MOST_SUBMAPS."""
+    def reaching(self, key: TileKey) -> NDArray[np.int64]:
+        """The submaps of its frame that may reach into a tile, the nearest to its middle first."""
         known = [one for one in self.frames if one.frame == key.frame]
         if not known:
             return np.zeros(0, np.int64)
         gaps = self.grid.distances_m(key.cell, known[0].positions)
         rows = np.flatnonzero(gaps <= self.reach_m)
         middle = np.linalg.norm(known[0].positions[rows, :2] - self.grid.centre(key.cell)[:2], axis=1)
-        nearest = rows[np.lexsort((rows, middle))[:MOST_SUBMAPS]]
-        return np.sort(nearest)
+        return np.asarray(rows[np.lexsort((rows, middle))])
 
 
 def read_tiling(uow: UnitOfWork, policy: Policy, tenant: TenantId, map_id: str, version: int) -> Tiling:
@@ -104,9 +128,9 @@ def read_tiling(uow: UnitOfWork, policy: Policy, tenant: TenantId, map_id: str, 
         raise NotFound(f"there is no version {version} of map {map_id!r}"[:200])
     config = policy.for_map(record)
     rows = uow.session_poses.find(tenant, map_id=map_id, version=version)
-    parts: dict[str, list[PackedSubmaps]] = {}
+    parts: dict[str, list[SessionPosesRecord]] = {}
     for row in sorted(rows, key=lambda poses: poses.session_number):
-        parts.setdefault(row.frame, []).append(PackedSubmaps.of(row.submaps))
+        parts.setdefault(row.frame, []).append(row)
     frames = tuple(_joined(name, parts[name]) for name in sorted(parts))
     return Tiling(map_id, version, grid_of(config), reach_m(config), frames)
 
@@ -124,23 +148,42 @@ def reach_m(config: PipelineConfig) -> float:
 def read_plan(uow: UnitOfWork, policy: Policy, tenant: TenantId, key: TileKey) -> TilePlan:
     """The sources of a tile. Raises NotFound for a version that is gone or a tile that no submap reaches."""
     tiling = read_tiling(uow, policy, tenant, key.map_id, key.version)
-    rows = tiling.near(key)
+    rows = tiling.reaching(key)
     if not len(rows):
         raise NotFound(f"there is no tile {key.tile_id!r} in version {key.version} of map {key.map_id!r}"[:200])
-    frame = tiling.frame(key.frame)
-    known = submaps_numbered(uow, tenant, frame.numbers[rows].tolist())
-    placed = [
-        (str(known[number].neural_map_sha256), tuple(frame.T_map_submap[row].ravel().tolist()))
-        for row, number in zip(rows.tolist(), frame.numbers[rows].tolist(), strict=True)
-        if number in known and known[number].neural_map_sha256 is not None
-    ]
     x, y, z = tiling.grid.centre(key.cell).tolist()
-    return TilePlan(key, (x, y, z), tuple(placed))
+    return TilePlan(key, (x, y, z), planned(uow, tenant, tiling.frame(key.frame), rows, key.moment.as_of_ns))
 
 
-def _joined(frame: str, parts: Sequence[PackedSubmaps]) -> PlacedFrame:
+def planned(
+    uow: UnitOfWork, tenant: TenantId, frame: PlacedFrame, rows: NDArray[np.int64], as_of_ns: int | None
+) -> tuple[PlannedMap, ...]:
+    """The first MOST_SUBMAPS of some submaps of a frame that were taken by then, in the order of their drives."""
+    if as_of_ns is None:
+        rows = rows[:MOST_SUBMAPS]
+    known = submaps_numbered(uow, tenant, frame.numbers[rows].tolist())
+    of_time = [
+        row for row in rows.tolist() if as_of_ns is None or _stamp_ns(known, int(frame.numbers[row])) <= as_of_ns
+    ]
+    found = ((known.get(int(frame.numbers[row])), row) for row in sorted(of_time[:MOST_SUBMAPS]))
+    return tuple(
+        PlannedMap(
+            one.neural_map_sha256, tuple(frame.T_map_submap[row].ravel().tolist()), one.session_number, one.stamp_ns
+        )
+        for one, row in found
+        if one is not None and one.neural_map_sha256 is not None
+    )
+
+
+def _stamp_ns(known: Mapping[int, SubmapRecord], number: int) -> int:
+    return known[number].stamp_ns if number in known else 0
+
+
+def _joined(frame: str, rows: Sequence[SessionPosesRecord]) -> PlacedFrame:
+    parts = [PackedSubmaps.of(row.submaps) for row in rows]
     numbers = np.concatenate([one.numbers for one in parts])
-    return PlacedFrame(frame, numbers, np.concatenate([one.T_map_submap for one in parts]))
+    sessions = np.repeat([row.session_number for row in rows], [len(one.numbers) for one in parts])
+    return PlacedFrame(frame, numbers, np.concatenate([one.T_map_submap for one in parts]), sessions)
 
 
 def submaps_numbered(uow: UnitOfWork, tenant: TenantId, numbers: Sequence[int]) -> dict[int, SubmapRecord]:

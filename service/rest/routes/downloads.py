@@ -8,8 +8,9 @@ from typing import Annotated, Any, Literal
 from fastapi import APIRouter, Header, Query, Response
 
 from revisit.api.calls import CALLS
+from revisit.service.domain import limits
 from revisit.service.features.catalogue.downloads import MEDIA_TYPES
-from revisit.service.ports.map_tiles import TileKey
+from revisit.service.ports.map_tiles import Moment, TileKey
 from revisit.service.rest.access import served
 from revisit.service.rest.bodies import ANY_BINARY
 from revisit.service.rest.files import FileInPieces
@@ -48,6 +49,7 @@ def _number(enum: Any, name: str) -> int:
 
 
 SubmapFormat, TileFormat = _format(_OF_SUBMAP), _format(_OF_TILE)
+AsOf = Annotated[int | None, Query(ge=limits.STAMP_NS.least, le=limits.STAMP_NS.most)]
 
 
 @router.api_route(**served(CALLS["DownloadSubmap"]), **_FILE)
@@ -70,9 +72,11 @@ async def download_map_tile(
     cases: Cases,
     tenant: Tenant,
     file_format: TileFormat,  # type: ignore[valid-type]  # made at run time
+    as_of_ns: AsOf = None,
+    ever: bool = False,
 ) -> Response:
     """Download the surface of a tile as a file; a worker makes it when it is asked for first."""
-    key = TileKey.of(map_id, names.version_number(version_id), tile_id)
+    key = TileKey.of(map_id, names.version_number(version_id), tile_id, Moment(as_of_ns, ever))
     what = requests.tile_download(_number(_OF_TILE, file_format))
     await cases.map_tiles.make(tenant, key)
     return FileInPieces(cases.budget, tenant, partial(cases.map_tiles.download, tenant, key, *what))

@@ -175,6 +175,7 @@ NAMES = {
 OWN = {
     "GetMapVersion": {"name": VERSION},
     "ListSubmapPoses": {"parent": VERSION},
+    "ListMapChanges": {"parent": VERSION},
     "GetMapMerge": {"name": "maps/{map}/merges/{merge}"},
     "RevertMapMerge": {"name": "maps/{map}/merges/{merge}"},
     "GetCorrection": {"name": SESSION},

@@ -1,0 +1,1 @@
+"""What changed between the drives of a map."""

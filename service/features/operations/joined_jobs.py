@@ -1,0 +1,46 @@
+"""Jobs that several callers ask for: queued once, waited for together, and kept when a caller leaves."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import Any
+
+from revisit.service.capacity.backlog import same_job
+from revisit.service.domain import limits
+from revisit.service.domain.errors import NoAnswer, error_of
+from revisit.service.domain.identity import TenantId
+from revisit.service.domain.records import JobRecord
+from revisit.service.domain.states import OperationKind, OperationState
+from revisit.service.features.operations.calls import Operations
+from revisit.service.features.resources.call_context import CallContext
+from revisit.service.ports.transactions import UnitOfWork
+
+
+class JoinedJobs:
+    """Asks the workers for what they keep."""
+
+    def __init__(self, context: CallContext, operations: Operations) -> None:
+        """`operations` waits for results."""
+        self._context = context
+        self._operations = operations
+
+    async def answer(
+        self, tenant: TenantId, kind: OperationKind, subject: str, payload: dict[str, Any]
+    ) -> dict[str, Any]:
+        """Queue a job, or join the same one, and wait for it. Raises the worker's error, NoAnswer, WorkersBusy."""
+        self._context.admission.require_storage()
+        post = partial(self._posted, tenant=tenant, kind=kind, subject=subject, payload=payload)
+        job = await self._context.storage.write(post)
+        operation = await self._operations.wait(tenant, job.operation_id, limits.TILE_WAIT_S)
+        if operation.failure_code is not None:
+            raise error_of(operation.failure_code, operation.failure_message or "")
+        if operation.result is None:
+            self._context.admission.require_running()
+            raise NoAnswer(f"no worker answered within {limits.TILE_WAIT_S:g} s; ask again")
+        return operation.result
+
+    def _posted(
+        self, uow: UnitOfWork, tenant: TenantId, kind: OperationKind, subject: str, payload: dict[str, Any]
+    ) -> JobRecord:
+        under_way = same_job(uow, tenant, kind, subject, payload, (OperationState.QUEUED, OperationState.RUNNING))
+        return under_way or self._context.jobs.post(uow, tenant, kind, subject, payload)

@@ -1,0 +1,108 @@
+"""What changed between the drives of a map, and surfaces at a moment, the same over REST and gRPC. Made up."""
+
+from __future__ import annotations
+
+import itertools
+import json
+
+import pytest
+from typer.testing import CliRunner
+
+from revisit.cli.app import app
+from revisit.sdk.errors import InvalidArgument, NotFound
+from tests.support.service_world import cloud_points, pose
+
+DAY_NS = 86_400 * 10**9
+MONDAY, TUESDAY = 20_000 * DAY_NS, 20_001 * DAY_NS
+_numbers = itertools.count(1)
+
+
+@pytest.fixture
+def driven_twice(client):
+    """A map that was driven on two days along the same way, 60 m long; the name of its version."""
+    made = client.create_map(f"years-{next(_numbers)}", leave_distance_m=0)
+    for session_id, day_ns in (("monday", MONDAY), ("tuesday", TUESDAY)):
+        session = client.create_session(made, session_id)
+        for place in (5, 25, 45, 65):
+            client.wait(client.post_submap(session, f"at-{place}", cloud_points(place), pose(place), day_ns + place))
+    return client.wait(client.optimise_map(made)).result["version"]
+
+
+def test_what_a_drive_found_changed_is_told_with_that_drive_and_the_time_in_between(client, driven_twice):
+    found = client.map_changes(driven_twice)
+    frame, session = (
+        client.map_tiles(driven_twice)[0].frame,
+        f"{driven_twice.partition('/versions/')[0]}/sessions/tuesday",
+    )
+    assert found and {(one.kind, one.frame, one.session) for one in found} == {("VANISHED", frame, session)}
+    first = found[0]
+    assert MONDAY <= first.before_ns < TUESDAY <= first.stamp_ns
+    assert (first.extent_m, first.points, first.moved_from_m) == ((4.0, 2.0, 1.5), 40, None)
+    assert client.map_changes(driven_twice.partition("/versions/")[0]) == found
+
+
+def test_drives_are_compared_once_and_the_changes_kept(client, service, driven_twice):
+    found, before = client.map_changes(driven_twice), service.world.tiler.compared
+    assert client.map_changes(driven_twice) == found and service.world.tiler.compared == before
+
+
+def test_changes_are_those_found_between_two_moments(client, driven_twice):
+    every = client.map_changes(driven_twice)
+    last_ns = max(one.stamp_ns for one in every)
+    assert client.map_changes(driven_twice, after_ns=TUESDAY - 1, until_ns=last_ns) == every
+    assert client.map_changes(driven_twice, after_ns=last_ns) == []
+    assert client.map_changes(driven_twice, until_ns=TUESDAY - 1) == []
+
+
+def test_a_map_of_one_drive_has_no_changes(client):
+    session = client.create_session(client.create_map(f"years-{next(_numbers)}", leave_distance_m=0), "monday")
+    client.wait(client.post_submap(session, "a", cloud_points(5), pose(5.0), MONDAY))
+    version = client.wait(client.optimise_map(session.name.partition("/sessions/")[0])).result["version"]
+    assert client.map_changes(version) == []
+
+
+def test_changes_go_with_a_submap_that_is_deleted(client, service, driven_twice):
+    client.map_changes(driven_twice)
+    before = service.world.tiler.compared
+    client.delete(f"{driven_twice.partition('/versions/')[0]}/sessions/monday/submaps/at-65")
+    assert client.map_changes(driven_twice) and service.world.tiler.compared > before
+
+
+def test_the_surface_of_a_moment_is_made_of_what_was_seen_by_then(client, service, driven_twice):
+    tile = next(one for one in client.map_tiles(driven_twice) if one.name.endswith(".0.0"))
+    drives = service.world.tiler.drives
+    for asked, made_of in (
+        ({}, {"monday", "tuesday"}), ({"as_of_ns": TUESDAY}, {"monday"}), ({"ever": True}, {""}),
+        ({"as_of_ns": TUESDAY, "ever": True}, {""}),
+    ):  # fmt: skip
+        client.download_tile(tile, "mesh", **asked)
+        assert len(drives[-1]) == len(made_of)
+        assert (drives[-1] == {0}) == ("" in made_of)
+    assert b"element face 0" in client.download_tile(tile, "mesh", as_of_ns=MONDAY - 1)
+    assert client.map_points(driven_twice, (13.0, 13.0, 0.0), 40.0, as_of_ns=MONDAY - 1).total == 0
+    assert client.map_distances(driven_twice, [[10.0, 10.0, 0.4]], ever=True).distance_m[0] == pytest.approx(0.4)
+
+
+def test_what_cannot_be_asked_of_changes_is_told(client, driven_twice):
+    with pytest.raises(InvalidArgument) as refused:
+        client.map_changes(driven_twice, after_ns=-1)
+    assert refused.value.field == "after_ns"
+    with pytest.raises(InvalidArgument) as refused:
+        client.download_tile(client.map_tiles(driven_twice)[0], "mesh", as_of_ns=-1)
+    assert refused.value.field == "as_of_ns"
+    with pytest.raises(NotFound):
+        client.map_changes(f"{driven_twice}99")
+
+
+def test_the_command_line_lists_changes_and_asks_for_a_moment(service, client, driven_twice, tmp_path):
+    of_map = ["--map", driven_twice.split("/")[1], "--http", service.http]
+    listed = CliRunner().invoke(app, ["map", "changes", *of_map, "--json"])
+    assert listed.exit_code == 0, listed.output
+    assert [one["kind"] for one in json.loads(listed.stdout)] == ["VANISHED"] * len(client.map_changes(driven_twice))
+    none = CliRunner().invoke(app, ["map", "changes", *of_map, "--until", "2024-10-04", "--json"])
+    assert json.loads(none.stdout) == []
+    tile_id, out = client.map_tiles(driven_twice)[0].name.rpartition("/")[2], tmp_path / "then.ply"
+    asked = ["map", "tiles", tile_id, "--out", str(out), "--format", "mesh", "--as-of", "2024-10-04T12:00", *of_map]
+    assert CliRunner().invoke(app, asked).exit_code == 0 and out.exists()
+    assert CliRunner().invoke(app, [*asked[:-4], "--as-of", "yesterday", *of_map]).exit_code == 1
+    assert CliRunner().invoke(app, ["map", "changes", *of_map, "--geojson", str(tmp_path / "c.json")]).exit_code == 1

@@ -1,0 +1,156 @@
+"""What still stands after later drives, and what changed from drive to drive, in scenes known point by point."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from revisit.core.config import ImplicitMapConfig
+from revisit.core.geometry import se3
+from revisit.core.implicit_map import NeuralMap
+from revisit.core.implicit_map.neural_points import NeuralPoints
+from revisit.core.merge.evidence import ChangeKind
+from revisit.core.merge.fused import PlacedMap
+from revisit.core.merge.history import changes_over_time
+from revisit.core.merge.overlap import points_in_map
+from revisit.core.merge.standing import standing, still_standing
+from revisit.core.merge.tiles import changes_in_tile, fuse_tile
+from revisit.core.merge.visits import visits_of
+
+STEP = 0.3
+DAY_NS = 86_400 * 10**9
+EPOCH_NS = 1_700_000_000 * 10**9
+WALL, FARTHER = (0.0, 8.0), (5.0, 8.0)
+"""Middles of the wall, 3 m long and 2 m high, where it may stand: sixteen metres before the houses."""
+
+
+def wall_at(middle):
+    x, z = np.meshgrid(np.arange(-1.5, 1.5, STEP), np.arange(0.15, 2.0, STEP))
+    return np.column_stack([middle[0] + x.ravel(), np.full(x.size, middle[1]), z.ravel() - 1.7])
+
+
+def seen(session, *walls, day=None, x_m=0.0, behind=True):
+    """A submap at (x_m, 0), 1.7 m above a floor; houses stand along y = 16, and walls at their middles before them."""
+    steps = np.arange(-22.0, 22.0, STEP)
+    floor = np.column_stack([grid.ravel() for grid in np.meshgrid(steps, steps)] + [np.full(len(steps) ** 2, -1.7)])
+    floor = floor[(floor[:, 1] < 16.0) & (np.hypot(floor[:, 0], floor[:, 1]) < 22.0)]
+    along, up = np.meshgrid(np.arange(-20.0, 20.0, STEP), np.arange(-1.6, 3.0, STEP))
+    houses = np.column_stack([along.ravel(), np.full(along.size, 16.0), up.ravel()])
+    parts = [floor, *([houses] if behind else []), *(wall_at((one[0] - x_m, one[1])) for one in walls)]
+    points = np.concatenate(parts).astype(np.float32)
+    normals = np.tile(np.float32([0.0, 0.0, 1.0]), (len(points), 1))
+    known = NeuralPoints.remembered(points, normals, np.full(len(points), 3, np.int32), 3)
+    neural_map = NeuralMap.of_planes(known, np.arange(3), ImplicitMapConfig())
+    stamp_ns = EPOCH_NS + (session if day is None else day) * DAY_NS
+    return PlacedMap(neural_map, se3.from_yaw(0.0, (x_m, 0.0, 0.0)), session, stamp_ns)
+
+
+def of_wall(one, middle=WALL):
+    """Which of the points of a map are of the wall at a place."""
+    points = points_in_map(one)
+    return (np.abs(points[:, 0] - middle[0]) < 1.6) & (np.abs(points[:, 1] - middle[1]) < 0.1) & (points[:, 2] > -1.65)
+
+
+def test_maps_of_one_drive_are_left_as_they_are():
+    maps = [seen(1, WALL), seen(1, x_m=2.0)]
+    assert all(one is other for one, other in zip(still_standing(maps), maps, strict=True))
+
+
+def test_what_a_later_drive_looked_through_is_gone_and_all_else_stays():
+    maps = [seen(1, WALL), seen(2)]
+    first, second = standing(maps)
+    assert not first[of_wall(maps[0])].any()
+    assert first[~of_wall(maps[0])].all() and second.all()
+
+
+def test_what_no_later_drive_could_see_stays():
+    hidden = seen(2, (0.0, 4.0), behind=False)  # a wall stands before it, and of the houses nothing is seen
+    far = seen(2, x_m=60.0)
+    for later in (hidden, far):
+        maps = [seen(1, WALL), later]
+        assert standing(maps)[0].all()
+
+
+def test_what_has_come_back_stands_and_what_is_seen_again_was_never_gone():
+    maps = [seen(1, WALL), seen(2), seen(3, WALL)]
+    assert all(its.all() for its in standing(maps))
+    maps = [seen(1, WALL), seen(2, WALL), seen(3)]
+    assert [its[of_wall(one)].mean() for one, its in zip(maps[:2], standing(maps)[:2], strict=True)] == [0.0, 0.0]
+
+
+def test_up_to_the_day_before_it_went_it_stands():
+    maps = [seen(1, WALL), seen(2, WALL), seen(3)]
+    assert all(its.all() for its in standing(maps[:2]))
+
+
+def test_few_points_that_were_looked_through_are_noise():
+    first = seen(1)
+    few = np.array([[0.0, 8.0, 0.3 * k - 1.2] for k in range(5)], np.float32)
+    points = np.concatenate([first.neural_map.points.positions, few])
+    normals = np.tile(np.float32([0.0, 0.0, 1.0]), (len(points), 1))
+    known = NeuralPoints.remembered(points, normals, np.full(len(points), 3, np.int32), 3)
+    noisy = PlacedMap(NeuralMap.of_planes(known, np.arange(3), ImplicitMapConfig()), np.eye(4), 1, EPOCH_NS)
+    assert standing([noisy, seen(2)])[0].all()
+
+
+def test_the_tile_of_now_lacks_the_wall_and_that_of_ever_has_it():
+    maps = [seen(1, WALL), seen(2)]
+    undated = [PlacedMap(one.neural_map, one.T_map_submap) for one in maps]
+    now, ever, alone = (fuse_tile(some, np.zeros(3)) for some in (maps, undated, undated[1:]))
+    high = [int((tile.points.vertices[:, 2] > -1.0).sum()) for tile in (now, ever, alone)]
+    assert high[0] == high[2] < high[1]
+    of_one = fuse_tile(maps[:1], np.zeros(3))
+    assert of_one.neural_map == fuse_tile(undated[:1], np.zeros(3)).neural_map
+
+
+def test_changes_are_told_with_the_drive_that_found_them_and_when_it_was_otherwise():
+    maps = [seen(1, WALL), seen(2, WALL), seen(3), seen(4, WALL)]
+    gone, back = changes_over_time(maps)
+    assert (gone.thing.kind, gone.session, back.thing.kind, back.session) == (
+        ChangeKind.VANISHED,
+        3,
+        ChangeKind.BACK,
+        4,
+    )
+    assert (gone.before_ns, gone.stamp_ns) == (maps[1].stamp_ns, maps[2].stamp_ns)
+    assert (back.before_ns, back.stamp_ns) == (maps[2].stamp_ns, maps[3].stamp_ns)
+    np.testing.assert_allclose(gone.thing.centre_m, (*WALL, -0.7), atol=0.3)
+    np.testing.assert_allclose(gone.thing.extent_m, (2.7, 0.0, 1.8), atol=0.4)
+
+
+def test_what_stands_elsewhere_has_moved_and_what_is_new_has_appeared():
+    (moved,) = changes_over_time([seen(1, WALL), seen(2, FARTHER)])
+    assert moved.thing.kind is ChangeKind.MOVED
+    np.testing.assert_allclose(moved.moved_from_m[:2], WALL, atol=0.3)
+    np.testing.assert_allclose(moved.thing.centre_m[:2], FARTHER, atol=0.3)
+    (new,) = changes_over_time([seen(1), seen(2, WALL)])
+    assert new.thing.kind is ChangeKind.APPEARED and new.moved_from_m is None
+    assert changes_over_time([seen(1, WALL), seen(2, WALL)]) == []
+
+
+def test_the_order_in_which_maps_are_given_plays_no_part():
+    maps = [seen(1, WALL), seen(2, WALL), seen(3, FARTHER), seen(4, WALL)]
+    assert changes_over_time(maps) == changes_over_time(maps[::-1])
+    for its, other in zip(standing(maps), standing(maps[::-1])[::-1], strict=True):
+        np.testing.assert_array_equal(its, other)
+
+
+def test_a_change_belongs_to_the_tile_that_its_centre_lies_in():
+    maps = [seen(1, WALL), seen(2)]
+    (here,) = changes_in_tile(maps, np.array([10.0, 10.0, 0.0]))
+    np.testing.assert_allclose(here.thing.centre_m, (*WALL, -0.7), atol=0.3)
+    assert changes_in_tile(maps, np.array([10.0, 10.0 + 51.2, 0.0])) == []
+
+
+def test_clocks_that_begin_anew_with_each_session_leave_the_order_to_their_numbers():
+    maps = [PlacedMap(one.neural_map, one.T_map_submap, one.session, 7) for one in (seen(1), seen(2))]
+    assert [one.session for one in visits_of(maps)] == [1, 2]
+    dated = [seen(1, day=9), seen(2, day=4)]
+    assert [one.session for one in visits_of(dated)] == [2, 1]
+
+
+@pytest.mark.parametrize(("minutes", "visits"), [(5, 1), (15, 2)])
+def test_a_drive_that_pauses_is_two_visits(minutes, visits):
+    first = seen(1)
+    again = PlacedMap(first.neural_map, first.T_map_submap, 1, first.stamp_ns + minutes * 60 * 10**9)
+    assert len(visits_of([first, again])) == visits
