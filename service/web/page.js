@@ -200,6 +200,7 @@ function renderStage(loops, refit) {
   model.placed = placements(every, [...model.loops.values()].filter((loop) => loop.state === "ACCEPTED"), model.frame);
   const drawn = every.filter((track) => model.placed.has(track.name) && !model.hidden.has(track.name));
   byId("frames").hidden = model.frame === null;
+  tellCaption(every, drawn);
   if (view) {
     if (refit) view.places.clear();
     view.show({
@@ -215,7 +216,6 @@ function renderStage(loops, refit) {
     tellLegend(view.colouring);
   }
   Object.assign(document.body.dataset, { submaps, drawnSubmaps: view?.places.size ?? 0, drawnLoops: view?.drawnLoops ?? 0, listedLoops: loops.length });
-  tellCaption(every, drawn);
   tellEmpty(submaps);
 }
 
@@ -261,13 +261,24 @@ function liftPerSubmap() {
   return (share * share * 2.5 * size) / Math.max(20, model.submaps.size);
 }
 
+/** How much of the stage its tools cover at the top and at the bottom, pixels. */
+function coveredByTools() {
+  const stage = byId("view").getBoundingClientRect();
+  const [above, below] = [".stage > .tools", ".stage > .foot"].map((part) => document.querySelector(part).getBoundingClientRect());
+  return { top: Math.max(0, above.bottom - stage.top), bottom: Math.max(0, stage.bottom - below.top) };
+}
+
 function tellCaption(every, drawn) {
   const apart = every.filter((track) => track.submaps.length && !model.placed.has(track.name) && !model.hidden.has(track.name));
-  const said = [`${plural(drawn.length, "session")}, ${plural(view?.places.size ?? 0, "submap")}`];
-  if (model.frame !== null) said.push(model.corrected > 0.5 ? `in the frame of the map, version ${versionShown()}; odometry alone is up to ${driftInWords(drawn)} off` : `as odometry has it: up to ${driftInWords(drawn)} off`);
+  const said = [`${plural(drawn.length, "session")}, ${plural(drawn.reduce((sum, track) => sum + track.submaps.length, 0), "submap")}`];
+  const corrected = model.frame !== null && model.corrected > 0.5;
+  if (corrected) said.push(`in the frame of the map, version ${versionShown()}`);
+  else if (model.frame !== null) said.push(`as odometry has it: up to ${driftInWords(drawn)} off`);
   else if (drawn.length > 1) said.push("sessions placed by their best loop closure");
   if (apart.length) said.push(`${plural(apart.length, "session")} not drawn: no loop closure leads there yet`);
-  byId("caption").textContent = said.join(" \u00b7 ");
+  const more = Object.assign(document.createElement("span"), { className: "wide" });
+  if (corrected) more.textContent = `; odometry alone is up to ${driftInWords(drawn)} off`;
+  byId("caption").replaceChildren(said.join(" \u00b7 "), more);
 }
 
 const versionShown = () => Math.max(0, ...[...model.submaps.values()].map((submap) => Number(submap.map_version)));
@@ -790,6 +801,7 @@ try {
     tellScale(of);
     placeFaults(of);
   });
+  view.covered = coveredByTools;
   connectStage();
 } catch {
   byId("view").hidden = true;

@@ -62,6 +62,7 @@ export class MapView {
     THREE.Object3D.DEFAULT_UP.set(0, 0, 1);
     this.canvas = canvas;
     this.onCamera = onCamera;
+    this.covered = () => ({ top: 0, bottom: 0 });
     this.renderer = new THREE.WebGLRenderer({ canvas, antialias: true, powerPreference: "high-performance" });
     this.scene = new THREE.Scene();
     this.camera = new THREE.PerspectiveCamera(40, 1, 0.1, 50_000);
@@ -415,20 +416,33 @@ export class MapView {
     this.controls.target.copy(centre);
     const points = [...this.places].filter(([name]) => !names || names.includes(name)).map(([, { at }]) => at);
     this.camera.position.copy(centre).addScaledVector(back, this.distanceTo(points, centre, back, wide));
+    this.intoTheFree(back);
     this.camera.updateProjectionMatrix();
     this.controls.update();
     this.draw();
   }
 
-  /** How far back the camera stands so that all points are within the view, with a margin. */
+  /** Move the view by half of what tools cover more below than above: the middle lies between them then. */
+  intoTheFree(back) {
+    const { top, bottom } = this.covered();
+    const right = new THREE.Vector3().crossVectors(this.camera.up, back).normalize();
+    const down = new THREE.Vector3().crossVectors(right, back).multiplyScalar(this.metresOf((bottom - top) / 2));
+    this.controls.target.add(down);
+    this.camera.position.add(down);
+  }
+
+  /** How far back the camera stands so that all points are within the part of the view that no tools cover. */
   distanceTo(points, centre, back, wide) {
     const half = Math.tan((this.camera.fov * Math.PI) / 360);
     const right = new THREE.Vector3().crossVectors(this.camera.up, back).normalize();
     const up = new THREE.Vector3().crossVectors(back, right);
     const offset = new THREE.Vector3();
+    const { top, bottom } = this.covered();
+    const high = this.canvas.clientHeight;
+    const free = Math.max(0.4, (high - top - bottom) / (high || 1));
     return points.reduce((most, point) => {
       offset.subVectors(point, centre);
-      const across = Math.max(Math.abs(offset.dot(right)) / this.camera.aspect, Math.abs(offset.dot(up)));
+      const across = Math.max(Math.abs(offset.dot(right)) / this.camera.aspect, Math.abs(offset.dot(up)) / free);
       return Math.max(most, (across * 1.14) / half + offset.dot(back));
     }, 0.8 * wide / (points.length > 2 ? 4 : 1));
   }

@@ -97,6 +97,27 @@ def choose_a_submap(page):
     page.tab.locator("#card").wait_for()
 
 
+@pytest.mark.parametrize("size", [PHONE, TABLET, LAPTOP], ids=["phone", "tablet", "laptop"])
+def test_tools_cover_no_submap_of_a_map_that_is_fitted_into_the_window(size, chromium, service):
+    for page in opened_in(chromium, service, size):
+        require_free(page)
+
+
+def require_free(page):
+    """That no tools lie on a submap of a tall drive, and that the room between them is used."""
+    names = page.tab.evaluate("[...revisitPage.model.submaps.keys()]")
+    page.tab.evaluate("""() => {
+        const view = revisitPage.view();
+        [...view.places.values()].forEach((place, row) => place.at.set(0, 40 * row, 0));
+        view.fit("top");
+    }""")
+    covered = [box_of(page, ".stage > .tools"), box_of(page, ".stage > .foot")]
+    spots = [page.where(name) for name in names]
+    assert [(x, y) for x, y in spots for _, top, _, bottom in covered if top <= y <= bottom] == []
+    left = covered[1][1] - covered[0][3]
+    assert max(y for _, y in spots) - min(y for _, y in spots) > 0.6 * left
+
+
 def test_the_page_is_as_wide_as_its_window(page):
     assert fits(page) and outside(page) == []
 
