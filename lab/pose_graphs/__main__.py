@@ -58,5 +58,14 @@ def broken_odometry(seed: Annotated[int, typer.Option(help="Seed of the drives."
     say(benchmark.table(list(benchmark.run(seed=seed))))
 
 
+def one_vote(
+    folder: Annotated[Path, typer.Argument(exists=True, help="Folder of pose graphs, NAME.g2o.")],
+) -> None:
+    """Take whole stretches for others beside few right loops: whether what guards a map holds, as a table."""
+    from lab.pose_graphs import one_vote as benchmark
+
+    say(benchmark.table(list(benchmark.run(folder))))
+
+
 if __name__ == "__main__":
-    run(wrong_loops, one_loop, broken_odometry)
+    run(wrong_loops, one_loop, broken_odometry, one_vote)

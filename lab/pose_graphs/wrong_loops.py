@@ -39,13 +39,17 @@ def with_agreeing_loops(graph: PoseGraph, share: float, seed: int) -> PoseGraph:
 
     Within a run the loops agree as far as the odometry does, up to the noise of a registration.
     """
+    return with_aliases(graph, _wrong_count(graph, share), seed)
+
+
+def with_aliases(graph: PoseGraph, count: int, seed: int, length: int = ALIAS_LENGTH) -> PoseGraph:
+    """The same with so many wrong loops, in runs of `length`."""
     rng, (trajectory,) = np.random.default_rng(seed), graph.trajectories
     wrong: list[LoopEdge] = []
-    count = _wrong_count(graph, share)
     while len(wrong) < count:
-        first, second = _ends(len(trajectory), ALIAS_LENGTH, rng)
+        first, second = _ends(len(trajectory), length, rng)
         T_first_second = _random_motion(graph, rng)
-        for step in range(min(ALIAS_LENGTH, count - len(wrong))):
+        for step in range(min(length, count - len(wrong))):
             moved = se3.inverse(_motion(trajectory, first, step)) @ T_first_second @ _motion(trajectory, second, step)
             moved = moved @ _noise(graph, rng)
             wrong.append(_loop(graph, len(wrong), first + step, second + step, moved, rng))
