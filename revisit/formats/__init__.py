@@ -45,6 +45,7 @@ __all__ = [
     "FieldType",
     "PackedCloud",
     "PointField",
+    "count_quantised",
     "decode_cloud",
     "decode_content",
     "decode_packed",
@@ -74,6 +75,7 @@ encode_ply = ply.encode
 encode_ply_mesh = ply.encode_mesh
 encode_pointcloud2 = pointcloud2.encode
 encode_quantised = quantised.encode
+count_quantised = quantised.count
 
 _DECODERS: dict[str, Callable[[bytes, CloudLimits], DecodedCloud]] = {
     KITTI: kitti.decode,

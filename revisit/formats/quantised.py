@@ -52,12 +52,11 @@ def encode(points: NDArray[np.floating], intensity: NDArray[np.floating] | None 
         raise OutOfRange(field="points")
     grid, step = _coarsest(np.rint(cloud.points.astype(np.float64) / STEP_M))
     coordinates, of_side, of_height = residuals(grid)
-    columns = [_planes(_zigzag(column.astype(np.int64)).astype("<u4")) for column in coordinates]
+    columns = [_planes(_zigzag(column.astype(np.int32))) for column in coordinates]  # each less than 2^31
     intensity_step = 0.0
     if cloud.intensity is not None:
         intensity_step, levels = _quantise_intensity(cloud.intensity)
-        difference = np.diff(levels, prepend=0).astype(np.int16).astype(np.int64)
-        columns.append(_planes(_zigzag(difference).astype("<u2")))
+        columns.append(_planes(_zigzag(np.diff(levels, prepend=0).astype(np.int16))))
     header = _HEADER.pack(MAGIC, len(grid), step, intensity_step, of_side, of_height, 0)
     return header + zstandard.ZstdCompressor(ZSTD_LEVEL, write_checksum=True).compress(b"".join(columns))
 
@@ -83,6 +82,11 @@ def decode(data: bytes, limits: CloudLimits) -> DecodedCloud:
     if not intensity_step:
         return DecodedCloud(points)
     return DecodedCloud(points, columns.intensities(planes[12 * count :], count, intensity_step))
+
+
+def count(data: bytes) -> int:
+    """The number of points, all of them finite, that the head announces. Raises MalformedBody."""
+    return _head(data)[0]
 
 
 def _head(data: bytes) -> tuple[int, float, float, tuple[Prediction, Prediction]]:
@@ -114,8 +118,10 @@ def _quantise_intensity(intensity: NDArray[np.float32]) -> tuple[float, NDArray[
     return step, np.clip(np.rint(intensity.astype(np.float64) / step), 0, 65_535).astype(np.int64)
 
 
-def _zigzag(signed: NDArray[np.int64]) -> NDArray[np.int64]:
-    return np.where(signed >= 0, 2 * signed, -2 * signed - 1)
+def _zigzag(signed: NDArray[np.signedinteger[Any]]) -> NDArray[np.unsignedinteger[Any]]:
+    """0, -1, 1, -2, ... as 0, 1, 2, 3, ..., of the same size."""
+    bits = 8 * signed.itemsize
+    return ((signed << 1) ^ (signed >> (bits - 1))).astype(f"<u{signed.itemsize}")
 
 
 def _planes(column: NDArray[Any]) -> bytes:

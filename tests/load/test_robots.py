@@ -1,15 +1,16 @@
 """Robots with a LiDAR of 64 beams at 1.5 m/s, ten scans a second each, on one machine with the whole service.
 
 REVISIT_ROBOTS (2) drive for REVISIT_ROBOTS_MINUTES (a third); REVISIT_ROBOTS_WORKERS (2) describe and verify with the
-real method. Scans come over REVISIT_ROBOTS_TRANSPORT: grpc, or rest with a request each. Full size is 8 robots for 10
-minutes on two cores that do nothing else:
+real method. They send REVISIT_ROBOTS_SEND: the `described` scans, as the SDK does, or `all`, over
+REVISIT_ROBOTS_TRANSPORT: grpc, or rest with a request each. Full size is 16 robots for 10 minutes, or 8 that send all,
+on two cores that do nothing else:
 
-    export REVISIT_TEST_TIMES=1 REVISIT_ROBOTS=8 REVISIT_ROBOTS_MINUTES=10
+    export REVISIT_TEST_TIMES=1 REVISIT_ROBOTS=16 REVISIT_ROBOTS_MINUTES=10
     python -m pytest tests/load/test_robots.py -s
 
-The scans are simulated beforehand (`tests.support.recorded_drive`, 10 minutes of a core) and kept in the folder
-REVISIT_ROBOTS_DRIVE, where one is named. Odometry does not drift. Whether the robots are kept up with is asked only
-where REVISIT_TEST_TIMES is set.
+The scans are simulated beforehand (`tests.support.recorded_drive`, half a minute of a core, or 10 minutes for all) and
+kept in the folder REVISIT_ROBOTS_DRIVE, where one is named. Odometry does not drift. Whether the robots are kept up
+with is asked only where REVISIT_TEST_TIMES is set.
 """
 
 from __future__ import annotations
@@ -17,30 +18,34 @@ from __future__ import annotations
 import os
 import threading
 import time
+import warnings
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
-from revisit import Client
+from revisit import Client, SuspiciousInput
+from revisit.formats import decode_cloud
 from revisit.service.ports.blobs import CLOUD_BLOB
 from tests.support.figures import publish
 from tests.support.load import quantile
 from tests.support.patience import eventually, in_time
 from tests.support.processes import ServiceProcess
-from tests.support.recorded_drive import SCANS_PER_S, Lap, RecordedDrive, recorded_drive
+from tests.support.recorded_drive import SCANS_PER_S, SPEED_MPS, Lap, RecordedDrive, recorded_drive
 from tests.support.replaying_robots import MachineWatch, Robot, stored_bytes
+from tests.support.service_world import pose
 
 ROBOTS = int(os.environ.get("REVISIT_ROBOTS", "2"))
 SECONDS = 60 * float(os.environ.get("REVISIT_ROBOTS_MINUTES", "0.3333"))
 TRANSPORT = os.environ.get("REVISIT_ROBOTS_TRANSPORT", "grpc")
+SEND = os.environ.get("REVISIT_ROBOTS_SEND", "described")
 WORKERS = int(os.environ.get("REVISIT_ROBOTS_WORKERS", "2"))
-SCANS = round(SECONDS * SCANS_PER_S)
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(int(3 * SECONDS) + 1800)]
 
 BLOCK_M = 85.0
 SHORT_SCANS = 400
-"""A test that needs no more than so many drives them once; a longer one goes round the block."""
+"""Of ten a second: a test that needs no more than so many drives them once; a longer one goes round the block."""
 
 MOST_LATE_S = 2.0
 MORE_QUEUED = 1.0
@@ -53,10 +58,12 @@ REAL = "revisit.service.adapters.core_recogniser:load_recogniser"
 def laps(tmp_path_factory) -> list[Lap]:
     """A place to begin for each robot: evenly spread around the block, or a metre apart."""
     folder = Path(os.environ.get("REVISIT_ROBOTS_DRIVE") or tmp_path_factory.mktemp("drive"))
-    needed = SCANS + 10 * ROBOTS
-    drive: RecordedDrive = recorded_drive(folder, needed if needed <= SHORT_SCANS else None, BLOCK_M)
-    apart = 10 if needed <= len(drive) else len(drive) // ROBOTS
-    return [Lap(drive, robot, robot * apart) for robot in range(ROBOTS)]
+    needed = round(SECONDS * SCANS_PER_S) + 10 * ROBOTS
+    short = needed <= SHORT_SCANS
+    drive: RecordedDrive = recorded_drive(folder, needed if short else None, BLOCK_M, described=SEND == "described")
+    apart_m = SPEED_MPS if short else drive.round_m / ROBOTS
+    starts = [int(np.searchsorted(drive.way_m, robot * apart_m)) for robot in range(ROBOTS)]
+    return [Lap(drive, robot, start) for robot, start in enumerate(starts)]
 
 
 def driven(service: ServiceProcess, laps: list[Lap]) -> tuple[list[Robot], MachineWatch]:
@@ -70,8 +77,9 @@ def driven(service: ServiceProcess, laps: list[Lap]) -> tuple[list[Robot], Machi
             service.url if TRANSPORT == "rest" else service.grpc_target,
             session,
             lap,
-            SCANS,
+            SECONDS * SPEED_MPS,
             begins_s + number / len(laps) / SCANS_PER_S,
+            counts=SEND == "described",
         )
         for number, (session, lap) in enumerate(zip(sessions, laps, strict=True))
     ]
@@ -95,15 +103,19 @@ def states_of(service: ServiceProcess, robots: list[Robot]) -> list[str]:
 def figures(robots: list[Robot], watch: MachineWatch, submaps: int, home: Path) -> dict[str, Any]:
     """What it took, a scan and a submap."""
     took_ms = [1e3 * took for robot in robots for took in robot.acknowledgements.took_s]
-    scans, first, last = ROBOTS * SCANS, *watch.queue_of_thirds()
+    scans, first, last = sum(robot.scans for robot in robots), *watch.queue_of_thirds()
     return {
         "robots": ROBOTS,
         "transport": TRANSPORT,
+        "send": SEND,
         "minutes": round(SECONDS / 60, 2),
         "ack_p50_p99_ms": [quantile(0.5, took_ms), quantile(0.99, took_ms)],
         "late_at_the_end_s": round(max(robot.late_s[-1] for robot in robots), 2),
         "queue_first_and_last_third": [round(first, 1), round(last, 1)],
         "queue_most": max(watch.queued),
+        "queue": watch.queued[:: max(1, len(watch.queued) // 30)],
+        "cpu_s_of_gateway_workers_robots": [round(s) for s in (watch.gateway_s, watch.workers_s, watch.own_s)],
+        "cores_busy_by_the_service": round((watch.gateway_s + watch.workers_s) / watch.took_s, 2),
         "gateway_cpu_ms_a_scan": round(1e3 * watch.gateway_s / scans, 1),
         "stored_bytes_a_scan": round(sum(blobs := stored_bytes(home, CLOUD_BLOB)) / scans),
         "stored_clouds": len(blobs),
@@ -135,8 +147,36 @@ def test_robots_are_kept_up_with(laps, tmp_path):
         service.close()
     publish("robots", **told, loops=loops)
     assert [robot.refusals for robot in robots] == [[]] * ROBOTS
-    assert [robot.committed_seq for robot in robots] == [SCANS] * ROBOTS
+    assert [robot.committed_seq for robot in robots] == [robot.scans for robot in robots]
     assert set(states) == {"DESCRIBED"}
     assert in_time(told["late_at_the_end_s"], MOST_LATE_S)
     first, last = told["queue_first_and_last_third"]
     assert in_time(last - first, MORE_QUEUED * ROBOTS)
+
+
+MOST_SDK_MS = 30.0
+
+
+@pytest.mark.parametrize("columns", [3, 4], ids=["xyz", "with intensity"])
+def test_a_robot_spends_little_on_what_it_does_not_send(columns, laps, tmp_path):
+    seconds = max(SECONDS, 20.0)
+    cloud = laps[0].scan(0)[0]
+    scan = decode_cloud(cloud.data, cloud.content_type).points
+    scan = np.column_stack([scan, np.arange(len(scan), dtype=np.float32) % 256])[:, :columns].copy()
+    service = ServiceProcess(tmp_path / "home", workers=1)
+    try:
+        with Client.grpc(service.grpc_target) as client, warnings.catch_warnings():
+            warnings.simplefilter("ignore", SuspiciousInput)
+            client.create_map("town")
+            with client.stream(client.create_session("maps/town", "monday")) as stream:
+                stream.send(scan, pose(), 1)
+                began_s, began_cpu_s = time.monotonic(), time.process_time()
+                for number in range(1, round(seconds * SCANS_PER_S)):
+                    time.sleep(max(0.0, began_s + number / SCANS_PER_S - time.monotonic()))
+                    stream.send(scan, pose(number * SPEED_MPS / SCANS_PER_S), 1 + int(1e9 * number / SCANS_PER_S))
+                cpu_ms = 1e3 * (time.process_time() - began_cpu_s) / seconds
+    finally:
+        service.close()
+    publish("sdk", columns=columns, cpu_ms_a_second=round(cpu_ms, 1), not_sent=stream.skipped)
+    assert stream.skipped > 0.9 * seconds * SCANS_PER_S - 1
+    assert in_time(cpu_ms, MOST_SDK_MS)

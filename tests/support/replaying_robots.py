@@ -1,4 +1,4 @@
-"""Robots that drive a recorded round at ten scans a second, and what the service and the machine do meanwhile."""
+"""Robots that drive a recorded round at 1.5 m/s, and what the service and the machine do meanwhile."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from revisit.sdk.transport import Forgetful
 from tests.support.load import own_mib, processor_s, rss_mib
 from tests.support.patience import PATIENCE_S
 from tests.support.processes import ServiceProcess
-from tests.support.recorded_drive import SCANS_PER_S, Lap
+from tests.support.recorded_drive import SPEED_MPS, Lap
 
 SAMPLE_EVERY_S = 2.0
 TICKS_PER_S = os.sysconf("SC_CLK_TCK")
@@ -46,12 +46,18 @@ class Acknowledgements(Forgetful):
 
 
 class Robot(threading.Thread):
-    """Streams `scans` scans, ten a second from its own moment on; one that is late hurries, and leaves none out."""
+    """Streams the scans of its first `way_m` metres, each when it is there; one that is late hurries, and leaves none
+    out.
+    """
 
-    def __init__(self, target: str, session: str, lap: Lap, scans: int, begins_s: float) -> None:
-        """`target` is host:port for gRPC or a URL for REST; `begins_s` is a time of the monotonic clock."""
+    def __init__(self, target: str, session: str, lap: Lap, way_m: float, begins_s: float, *, counts: bool) -> None:
+        """`target` is host:port for gRPC or a URL for REST; `begins_s` is a time of the monotonic clock.
+
+        Where it `counts`, it tells the way up to each scan, as the SDK does.
+        """
         super().__init__(name=session, daemon=True)
-        self._target, self._session, self._lap, self._scans, self._begins_s = target, session, lap, scans, begins_s
+        self._target, self._session, self._lap, self._begins_s = target, session, lap, begins_s
+        self._counts, self.scans = counts, lap.scans_within(way_m)
         self.acknowledgements = Acknowledgements()
         self.late_s: list[float] = []
         self.committed_seq, self.refusals = 0, []
@@ -61,12 +67,14 @@ class Robot(threading.Thread):
         kind = RestTransport if self._target.startswith("http") else GrpcTransport
         transport = kind(self._target, RetryPolicy(), Credentials.given(None, None))
         sink = transport.open_stream(self._session, self.acknowledgements)
-        for number in range(self._scans):
-            due_s = self._begins_s + number / SCANS_PER_S
+        for number in range(self.scans):
+            way_m = self._lap.way_m(number)
+            due_s = self._begins_s + way_m / SPEED_MPS
             time.sleep(max(0.0, due_s - time.monotonic()))
             cloud, T_odom_sensor = self._lap.scan(number)
             self.acknowledgements.sent(number + 1)
-            sink.send(cloud, pose_json(T_odom_sensor), int(number * 1e9 / SCANS_PER_S) + 1)
+            pose, stamp_ns = pose_json(T_odom_sensor), int(1e9 * way_m / SPEED_MPS) + 1
+            sink.send(cloud, pose, stamp_ns, way_m if self._counts else None)
             self.late_s.append(time.monotonic() - due_s)
         sink.flush()
         self.committed_seq, self.refusals = sink.committed_seq, list(sink.refusals)
@@ -81,7 +89,7 @@ class MachineWatch(threading.Thread):
         super().__init__(name="watch", daemon=True)
         self._service, self._stopped = service, stop
         self.queued: list[int] = []
-        self.gateway_s, self.workers_s, self.own_s, self._machine_s, self._took_s = 0.0, 0.0, 0.0, 0.0, 1.0
+        self.gateway_s, self.workers_s, self.own_s, self._machine_s, self.took_s = 0.0, 0.0, 0.0, 0.0, 1.0
         self.gateway_mib, self.worker_mib, self.worker_own_mib = 0.0, 0.0, 0.0
 
     def run(self) -> None:
@@ -101,12 +109,12 @@ class MachineWatch(threading.Thread):
                 self.gateway_mib = max(self.gateway_mib, rss_mib(self._service.pid))
         self.gateway_s = processor_s(self._service.pid) - first_s
         self.workers_s = sum(seconds[-1] - seconds[0] for seconds in cpu_s.values())
-        self.own_s, self._took_s = time.process_time() - first_own_s, time.monotonic() - began_s
+        self.own_s, self.took_s = time.process_time() - first_own_s, time.monotonic() - began_s
         self._machine_s = busy_seconds() - first_machine_s
 
     def other_cores(self) -> float:
         """Cores that were busy with neither the service nor the robots."""
-        return (self._machine_s - self.gateway_s - self.workers_s - self.own_s) / self._took_s
+        return (self._machine_s - self.gateway_s - self.workers_s - self.own_s) / self.took_s
 
     def queue_of_thirds(self) -> tuple[float, float]:
         """The mean length of the queue in the first third of the time, and in the last."""

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from revisit.formats import NPY, QUANTISED, decode_cloud
-from revisit.sdk.clouds import Cloud, encoded
+from revisit.sdk import clouds
+from revisit.sdk.clouds import Cloud, count_returns, encoded
 
 POINTS = np.random.default_rng(1).uniform(-50, 50, (500, 3)).astype(np.float32)
 
@@ -40,3 +41,24 @@ def test_encoded_clouds_pass_untouched_and_other_shapes_are_refused():
     assert encoded(cloud) is cloud
     with pytest.raises(ValueError, match=r"\(n, 3\) or \(n, 4\)"):
         encoded(np.zeros((5, 2)))
+
+
+@pytest.mark.parametrize("columns", [3, 4])
+def test_finite_points_are_counted_whatever_the_intensity_says(columns):
+    points = np.ones((9, columns), dtype=np.float32)
+    assert count_returns(points) == 9
+    points[2, 1], points[4, 0] = np.nan, np.inf
+    assert count_returns(points) == 7
+    points[:, -1] = np.nan
+    assert count_returns(points) == (0 if columns == 3 else 7)
+    points[:] = np.float32(3e38)  # their sum is more than a float32 can hold
+    assert count_returns(points) == 9
+
+
+def test_a_cloud_in_the_form_of_the_wire_is_counted_without_decoding_it(monkeypatch):
+    cloud, far = encoded(POINTS), encoded(POINTS * np.float32(1000))
+    assert (cloud.content_type, far.content_type) == (QUANTISED, NPY)
+    assert count_returns(far) == len(POINTS)
+    monkeypatch.setattr(clouds, "decode_cloud", None)
+    assert count_returns(cloud) == len(POINTS)
+    assert count_returns(Cloud(b"nonsense", QUANTISED)) == 0
