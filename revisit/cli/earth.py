@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from revisit.cli.map_files import PlacedSubmap, by_session
-from revisit.core.geometry import geodesy
+from revisit.cli.map_files import PlacedSubmap, Points, by_session
+from revisit.core.errors import BadField
+from revisit.core.geometry import geodesy, se3
 from revisit.core.geometry.se3 import Matrix4
 from revisit.sdk.client import Client
 
@@ -36,6 +37,27 @@ class OnEarth:
     def T_ecef_map(self) -> Matrix4:
         """Into earth-centred coordinates."""
         return np.asarray(geodesy.T_ecef_enu(self.origin) @ self.T_enu_map)
+
+    def projected(self, points: Points, epsg: int) -> Points:
+        """Points (n, 3) of the map, metres, in a projected reference system: east, north, metres above the ellipsoid.
+
+        Needs the package `pyproj`. Raises BadField where there is no such system, or it does not reach so far.
+        """
+        from pyproj import CRS, Transformer
+        from pyproj.exceptions import CRSError
+
+        try:
+            system = CRS.from_epsg(epsg)
+        except CRSError as error:
+            raise BadField(f"there is no reference system EPSG:{epsg}", field="epsg") from error
+        if not system.is_projected or {axis.unit_name for axis in system.axis_info} != {"metre"}:
+            raise BadField(f"EPSG:{epsg} ({system.name}) is no projected system in metres", field="epsg")
+        latitude, longitude, altitude = geodesy.geodetic_of_enu(self.origin, se3.apply(self.T_enu_map, points)).T
+        east, north = Transformer.from_crs("EPSG:4326", system, always_xy=True).transform(longitude, latitude)
+        found = np.column_stack([east, north, altitude])
+        if not np.isfinite(found).all():
+            raise BadField(f"EPSG:{epsg} ({system.name}) does not reach this map", field="epsg")
+        return found
 
     def placed(self, submaps: Sequence[PlacedSubmap]) -> list[PlacedSubmap]:
         """The submaps in metres east, north and up from the origin."""

@@ -15,6 +15,7 @@ from revisit.cli.moments import AsOf, Ever, moment_ns
 from revisit.cli.options import HTTP, Http, Json, MapName
 from revisit.cli.output import emit_json, progress_bar, refuse, reporter, say
 from revisit.cli.recordings import Poses, opened
+from revisit.core.errors import BadField
 
 if TYPE_CHECKING:
     from revisit.cli.earth import OnEarth
@@ -68,7 +69,14 @@ def export(
     ] = "map",
     as_of: AsOf = "",
     ever: Ever = False,
-    epsg: Annotated[int, typer.Option(min=0, help="laz: number of the reference system that the map is in.")] = 0,
+    epsg: Annotated[
+        int,
+        typer.Option(
+            min=0,
+            help="laz: projected reference system, such as 25832. A map on earth is written in it (extra crs); of "
+            "another map it is the one that its frame is in.",
+        ),
+    ] = 0,
     http: Http = HTTP,
     json: Json = False,
 ) -> None:
@@ -77,12 +85,14 @@ def export(
     grid (grid), poses and cloud for Foxglove (mcap), pairs of points for fleet adapters (reference), a folder with the
     cloud in squares as Autoware loads it (autoware), one with the tiles of the surface for web viewers (3dtiles), or
     the drives on earth (geojson). Poses are those of the version in force, or else optimised here. A map that anchors
-    hold lies on earth in autoware, 3dtiles and geojson, and with --frame enu. Clouds, meshes, grids and tiles show
-    what the latest drive left, unless --as-of or --ever say otherwise.
+    hold lies on earth in autoware, 3dtiles and geojson, with --frame enu and with --epsg. Clouds, meshes, grids and
+    tiles show what the latest drive left, unless --as-of or --ever say otherwise.
     """
     _require_fitting(file_format, session_id, recording, out)
     if frame not in ("map", "enu"):
         raise refuse("--frame is map or enu")
+    if epsg and (file_format != "laz" or frame == "enu"):
+        raise refuse("--epsg is of --format laz, without --frame")
     try:
         if file_format == "scans" and recording is not None and out is not None:
             summary = _write_scans(out, http, (map_id, session_id), opened(recording, "auto", None, None, None, poses))
@@ -92,7 +102,9 @@ def export(
             asked = Asked(http, (map_id, session_id), epsg, frame, moment_ns(as_of), ever)
             summary = _write_file(file_format, out, asked)
     except ModuleNotFoundError as error:
-        raise refuse(what_is_missing("service", error)) from error
+        raise refuse(what_is_missing("crs" if error.name == "pyproj" else "service", error)) from error
+    except BadField as error:
+        raise refuse(error.message) from error
     if json and out is not None:
         emit_json(summary)
     elif out is not None:
@@ -143,7 +155,7 @@ def _write_file(file_format: str, out: Path, asked: Asked) -> dict[str, Any]:
     from revisit.cli.earth import frame_on_earth
     from revisit.cli.map_files import placed_submaps
 
-    http, chosen, frame = asked.http, asked.chosen, asked.frame
+    http, chosen, frame, epsg = asked.http, asked.chosen, asked.frame, asked.epsg
     if file_format == "3dtiles":
         return _write_tileset(out, asked)
     placed = placed_submaps(http, *chosen)
@@ -151,16 +163,16 @@ def _write_file(file_format: str, out: Path, asked: Asked) -> dict[str, Any]:
         placed = [one for one in placed if one.stamp_ns <= asked.as_of_ns]
     if not placed:
         raise refuse(f"map {chosen[0]} holds no submaps")
-    on_earth = frame == "enu" or file_format in ("autoware", "geojson")
+    on_earth = epsg or frame == "enu" or file_format in ("autoware", "geojson")
     earth = frame_on_earth(http, chosen[0], placed[0].frame) if on_earth else None
     if earth is None and (frame == "enu" or file_format == "geojson"):
         raise refuse(f"map {chosen[0]} does not lie on earth: no anchors hold its version in force")
-    if earth is not None and file_format != "geojson":
+    if earth is not None and not epsg and file_format != "geojson":
         placed = earth.placed(placed)
     out.parent.mkdir(parents=True, exist_ok=True)
     with progress_bar(quiet=False) as bar:
         more: dict[str, Writer] = {
-            "laz": partial(_write_cloud, kind="laz", epsg=asked.epsg),
+            "laz": partial(_write_cloud, kind="laz", epsg=epsg, earth=earth if epsg else None),
             "autoware": partial(_write_autoware, earth=earth),
             "geojson": partial(_write_geojson, earth=earth),
         }
@@ -202,15 +214,24 @@ def _write_kitti(out: Path, _http: str, placed: list[PlacedSubmap], _report: Rep
 
 
 def _write_cloud(
-    out: Path, http: str, placed: list[PlacedSubmap], report: Report, kind: str, epsg: int = 0, ever: bool = False
+    out: Path,
+    http: str,
+    placed: list[PlacedSubmap],
+    report: Report,
+    kind: str,
+    epsg: int = 0,
+    earth: OnEarth | None = None,
+    ever: bool = False,
 ) -> dict[str, int]:
+    """One cloud; of a map on `earth` in the projected system `epsg`."""
     from revisit.cli.map_files import merged_cloud
     from revisit.formats import laz, pcd, ply
 
     as_laz = partial(laz.encode, epsg=epsg or None)
     writers: dict[str, Callable[..., bytes]] = {"ply": ply.encode, "pcd": pcd.encode, "laz": as_laz}
     cloud = merged_cloud(http, placed, report, ever=ever)
-    out.write_bytes(writers[kind](cloud.points, intensity=cloud.intensity))
+    points = cloud.points if earth is None else earth.projected(cloud.points, epsg)
+    out.write_bytes(writers[kind](points, intensity=cloud.intensity))
     return {"points": len(cloud.points)}
 
 

@@ -8,7 +8,7 @@ from typing import Literal, ParamSpec, TypeVar
 
 DISTRIBUTION = "revisit-loops"
 
-Extra = Literal["cli", "service", "evaluation"]
+Extra = Literal["cli", "service", "evaluation", "crs"]
 P = ParamSpec("P")
 R = TypeVar("R")
 

@@ -43,7 +43,7 @@ def licences_of(name):
     return classified or {(about.get("License") or "unknown").strip().splitlines()[0].upper()}
 
 
-DISTRIBUTIONS = sorted(distributions("evaluation") | distributions("cluster") | distributions("kiss-icp"))
+DISTRIBUTIONS = sorted(set().union(*map(distributions, ("evaluation", "cluster", "kiss-icp", "crs"))))
 """All that is passed on: the largest extras but the developers' own, which hold the others."""
 
 

@@ -1,0 +1,78 @@
+"""A map on earth in a projected reference system."""
+
+from __future__ import annotations
+
+import sys
+
+import laspy
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+import revisit.cli.earth as earths
+from revisit.cli import map_files
+from revisit.cli.app import app
+from revisit.cli.earth import OnEarth
+from revisit.cli.map_files import MergedCloud, PlacedSubmap
+from revisit.core.errors import BadField
+from revisit.core.geometry import se3
+
+pytest.importorskip("pyproj", reason="in the extra `crs`")
+
+TURNED = se3.from_yaw(0.3, (20.0, -7.0, 1.5))
+
+
+def test_the_middle_of_a_zone_of_utm_is_500_km_east_and_true_to_its_scale():
+    earth = OnEarth((0.0, 9.0, 0.0), np.eye(4))
+    points = np.array([[0.0, 0.0, 0.0], [0.0, 1000.0, 0.0], [0.0, 0.0, 5.0]])
+    at = earth.projected(points, 25832)
+    assert at[0] == pytest.approx([500_000.0, 0.0, 0.0], abs=1e-3)
+    assert np.linalg.norm(at[1, :2] - at[0, :2]) == pytest.approx(999.6, abs=1e-2), "scale of UTM: 0.9996"
+    assert at[2] - at[0] == pytest.approx([0.0, 0.0, 5.0], abs=1e-3)
+
+
+def test_a_turned_map_keeps_its_shape():
+    points = np.random.default_rng(2).uniform(-200.0, 200.0, (50, 3)) * (1.0, 1.0, 0.1)
+    at = OnEarth((48.1, 11.5, 520.0), TURNED).projected(points, 25832)
+    apart = np.linalg.norm(points[:, None] - points[None], axis=2)
+    assert np.abs(np.linalg.norm(at[:, None] - at[None], axis=2) - apart).max() < 0.25
+    # 11.5 degrees lie 2.5 east of the middle of zone 32, where the grid is turned by 1.86 degrees.
+    north = OnEarth((48.1, 11.5, 520.0), np.eye(4)).projected(np.array([[0.0, 0.0, 0.0], [0.0, 100.0, 0.0]]), 25832)
+    east, along = (north[1] - north[0])[:2]
+    assert np.degrees(np.arctan2(east, along)) == pytest.approx(-2.5 * np.sin(np.radians(48.1)), abs=0.02)
+
+
+@pytest.mark.parametrize(
+    ("epsg", "words"), [(1, "no reference system"), (4326, "no projected"), (2263, "no projected")]
+)
+def test_what_is_no_projected_system_in_metres_is_refused(epsg, words):
+    with pytest.raises(BadField, match=words):
+        OnEarth((48.1, 11.5, 520.0), np.eye(4)).projected(np.zeros((1, 3)), epsg)
+
+
+def test_a_system_of_another_side_of_the_earth_is_refused():
+    with pytest.raises(BadField, match="does not reach"):
+        OnEarth((0.0, -81.0, 0.0), np.eye(4)).projected(np.zeros((1, 3)), 25832)
+
+
+def test_a_cloud_is_exported_in_the_system_and_names_it(monkeypatch, tmp_path):
+    """Read back by laspy, which takes the system from the file."""
+    points, earth = np.random.default_rng(1).uniform(0.0, 50.0, (200, 3)), OnEarth((48.1, 11.5, 520.0), TURNED)
+    placed = [PlacedSubmap("maps/site/sessions/a/submaps/1", 0, np.eye(4), "f")]
+    monkeypatch.setattr(map_files, "placed_submaps", lambda *_: placed)
+    monkeypatch.setattr(map_files, "merged_cloud", lambda *_, ever: MergedCloud(points, None))
+    monkeypatch.setattr(earths, "frame_on_earth", lambda *_: earth)
+    out = tmp_path / "site.laz"
+    asked = ["export", "--map", "site", "--format", "laz", "--out", str(out), "--epsg"]
+    assert CliRunner().invoke(app, [*asked, "25832"]).exit_code == 0
+    stored = laspy.read(out)
+    assert stored.header.parse_crs().to_epsg() == 25832
+    assert np.abs(stored.xyz - earth.projected(points, 25832)).max() < 0.001
+    refused = CliRunner().invoke(app, [*asked, "4326"])
+    assert refused.exit_code == 1 and "no projected system" in refused.output
+
+
+def test_without_the_package_the_error_names_it(monkeypatch):
+    monkeypatch.setitem(sys.modules, "pyproj", None)
+    with pytest.raises(ModuleNotFoundError, match="pyproj"):
+        OnEarth((48.1, 11.5, 520.0), np.eye(4)).projected(np.zeros((1, 3)), 25832)
