@@ -5,6 +5,7 @@ import { KeyNeeded, Refused, hasKey, read, readAll, useKey } from "/api.js";
 import { colouring } from "/colouring.js";
 import { sessionColour } from "/colours.js";
 import { byId, element, lastOf, plural, press, sessionOf, shortName, soon } from "/dom.js";
+import { DriveChanges } from "/drives.js";
 import { Watch } from "/events.js";
 import { connectExports, saveSubmap } from "/exports.js";
 import { inverse, mainFrame, matrixOf, placements, product } from "/frames.js";
@@ -46,6 +47,7 @@ let view = null;
 let watch = null;
 let tools = null;
 let versions = null;
+let drives = null;
 const pair = new PairView({ onStep: stepPair, onClose: () => select(model.selected), actionsOf: (loop) => actionsOf(loop, taken) });
 
 // ---------------------------------------------------------------------------------------------- reading
@@ -66,6 +68,7 @@ async function openMap(name) {
 function forgetMap() {
   watch?.stop();
   versions?.clear();
+  drives?.clear();
   tools?.use("none");
   Object.assign(model, { map: null, missing: "", rejectedRead: false, selected: null, listed: LISTED_AT_ONCE, faults: [] });
   for (const held of [model.sessions, model.submaps, model.loops, model.operations, model.hidden]) held.clear();
@@ -89,6 +92,7 @@ async function readMap() {
   for (const loop of [...accepted, ...ambiguous, ...proposed]) model.loops.set(loop.name, loop);
   for (const operation of [...running, ...failed]) if (ofMap(operation)) model.operations.set(operation.name, operation);
   await Promise.all([readWhyNoLoops(), readFaults(), versions.show(name)]);
+  drives.show(versions.inForce);
   if (model.states.has("rejected")) await readRejected();
 }
 
@@ -808,6 +812,7 @@ try {
   byId("tools").hidden = true;
 }
 versions = new Versions({ view, onChanged: () => readMap().then(renderSoon, tellError) });
+drives = new DriveChanges({ view, frame: () => model.frame });
 tools = new Tools({ view, mapName: () => model.map, onJoined: joined });
 connect();
 run();

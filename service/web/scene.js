@@ -56,6 +56,18 @@ const LINES = {
   rejected: { colour: "--rejected", linewidth: 1, opacity: 0.45, dashed: true },
 };
 
+const OF_CHANGES = { VANISHED: "--failed", APPEARED: "--good", MOVED: "--mark", BACK: "--ambiguous" };
+
+/** The twelve edges of the box of a change, and the way that a thing has moved: x, y, z of both ends of each. */
+function edgesOf({ centre_m: c, extent_m: e, moved_from_m: from }) {
+  const corner = (bits) => [0, 1, 2].map((axis) => [c.x, c.y, c.z][axis] + (bits & (1 << axis) ? 0.5 : -0.5) * [e.x, e.y, e.z][axis]);
+  const edges = [];
+  for (let bits = 0; bits < 8; bits += 1) {
+    for (const axis of [1, 2, 4]) if (!(bits & axis)) edges.push(...corner(bits), ...corner(bits | axis));
+  }
+  return from ? [...edges, from.x, from.y, from.z, c.x, c.y, c.z] : edges;
+}
+
 /** The drawing on a canvas. Give it a map with `show`; ask it with `nearest` what is under the pointer. */
 export class MapView {
   constructor(canvas, onCamera = () => {}) {
@@ -77,10 +89,11 @@ export class MapView {
     this.marks = new THREE.Group();
     this.rulers = new THREE.Group();
     this.changes = new THREE.Group();
+    this.things = new THREE.Group();
     this.dots = null;
     this.faultMarks = [];
     this.grid = null;
-    this.scene.add(this.surfaces, this.paths, this.loops, this.changes, this.marks, this.rulers);
+    this.scene.add(this.surfaces, this.paths, this.loops, this.changes, this.things, this.marks, this.rulers);
     this.scene.add(new THREE.HemisphereLight("#ffffff", "#66727e", 1.5));
     this.sun = new THREE.DirectionalLight("#ffffff", 1.5);
     this.sun.position.set(0.9, -1.2, 0.9);
@@ -360,6 +373,19 @@ export class MapView {
     this.draw();
   }
 
+  /** Draw things that changed as boxes: [{ kind, centre_m, extent_m, moved_from_m }] in the frame of the map. */
+  showThings(things) {
+    clear(this.things);
+    for (const [kind, colour] of Object.entries(OF_CHANGES)) {
+      const edges = things.filter((one) => one.kind === kind).flatMap(edgesOf);
+      if (!edges.length) continue;
+      const lines = new LineSegments2(new LineSegmentsGeometry().setPositions(edges), this.material(themed(colour), 2));
+      lines.renderOrder = 4;
+      this.things.add(lines);
+    }
+    this.draw();
+  }
+
   /** T_target_source of two submaps as they are drawn: x,y,z,qx,qy,qz,qw. */
   relative(target, source) {
     const [t, q, s] = [new THREE.Vector3(), new THREE.Quaternion(), new THREE.Vector3()];
@@ -469,7 +495,7 @@ export class MapView {
     this.renderer.setClearColor(themed("--stage"));
     this.camera.aspect = width / height;
     this.camera.updateProjectionMatrix();
-    for (const group of [this.paths, this.loops, this.marks, this.rulers, this.changes]) {
+    for (const group of [this.paths, this.loops, this.marks, this.rulers, this.changes, this.things]) {
       for (const { material } of group.children) material.resolution?.set(width, height);
     }
     this.paint();

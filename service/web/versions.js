@@ -22,6 +22,11 @@ export class Versions {
     this.render();
   }
 
+  /** The version in force, or undefined. */
+  get inForce() {
+    return this.versions.find((version) => version.in_force);
+  }
+
   clear() {
     Object.assign(this, { map: null, versions: [], compared: null });
     this.render();

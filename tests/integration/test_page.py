@@ -75,6 +75,32 @@ def test_a_fault_of_odometry_is_marked_on_its_trajectory_in_words(chromium, serv
     shown.tab.close()
 
 
+def test_what_changed_between_the_drives_is_listed_and_drawn_between_two_dates(chromium, service):
+    day_ns = 86_400 * 10**9
+    with Client(service.http) as client:
+        made = client.create_map("driven-twice", leave_distance_m=0)
+        for session_id, day in (("friday", 20_000), ("saturday", 20_001)):
+            session = client.create_session(made, session_id)
+            for place in (5, 25, 45, 65):
+                points = cloud_points(place)
+                client.wait(client.post_submap(session, f"at-{place}", points, pose(place), day * day_ns + place))
+        client.wait(client.optimise_map(made))
+        found = client.map_changes(made)
+    shown = Page(chromium, service.http, "/#maps/driven-twice")
+    shown.drawn()
+    shown.tab.locator("#changes summary").click()
+    eventually(lambda: shown.data("drawn-things") == str(len(found)))
+    assert "Vanished, 4.0 × 2.0 × 1.5 m" in shown.tab.locator("#change-list li").first.inner_text()
+    assert "saturday" in shown.tab.locator("#change-list li").first.inner_text()
+    shown.tab.locator("#changes-until").fill("2024-10-04")
+    eventually(lambda: shown.data("drawn-things") == "0")
+    shown.tab.locator("#changes-until").fill("")
+    eventually(lambda: shown.data("drawn-things") == str(len(found)))
+    shown.tab.locator("#changes summary").click()
+    assert shown.complaints == []
+    shown.tab.close()
+
+
 def loops_of(service, town="maps/town"):
     with Client(service.http) as client:
         return client.loop_closures(town, state="ALL")

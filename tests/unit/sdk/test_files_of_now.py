@@ -1,0 +1,55 @@
+"""Clouds and meshes of a map on this machine show what the latest drive left, unless everything is asked for."""
+
+from __future__ import annotations
+
+from contextlib import nullcontext
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from revisit.cli import map_files
+from revisit.cli.map_files import PlacedSubmap, merged_cloud, merged_mesh
+from revisit.formats import encode_npy
+from tests.support.walled_scenes import WALL, seen
+
+
+@pytest.fixture
+def two_days(monkeypatch):
+    """Two drives of one place, of which the first saw a wall; what was downloaded of them."""
+    maps = {f"maps/yard/sessions/day{one.session}/submaps/a": one for one in (seen(1, WALL), seen(2))}
+    asked = []
+
+    def download(name, kind):
+        asked.append((name, kind))
+        neural_map = maps[name].neural_map
+        return neural_map.to_blob() if kind == "neural" else encode_npy(neural_map.points.positions, None)
+
+    monkeypatch.setattr(map_files, "Client", lambda http: nullcontext(SimpleNamespace(download=download)))
+    placed = [PlacedSubmap(name, one.stamp_ns, one.T_map_submap) for name, one in maps.items()]
+    return placed, asked
+
+
+def walls(points):
+    """How many points stand where the wall stood, its foot left out."""
+    near = (np.abs(points[:, 0] - WALL[0]) < 1.6) & (np.abs(points[:, 1] - WALL[1]) < 0.2)
+    return int((near & (points[:, 2] > -1.2) & (points[:, 2] < 0.5)).sum())
+
+
+def test_a_cloud_lacks_what_a_later_drive_looked_through(two_days):
+    placed, _ = two_days
+    now, ever = (merged_cloud("", placed, lambda *_: None, ever=ever).points for ever in (False, True))
+    assert walls(now) <= 0.1 * walls(ever) and walls(ever) > 20
+    assert len(ever) - len(now) <= 2 * walls(ever)  # its foot goes as well, and nothing else
+
+
+def test_a_mesh_lacks_what_a_later_drive_looked_through(two_days):
+    placed, _ = two_days
+    now, ever = (merged_mesh("", placed, lambda *_: None, ever=ever)[0] for ever in (False, True))
+    assert walls(now) <= 0.1 * walls(ever) and walls(ever) > 20
+
+
+def test_of_one_drive_no_neural_map_is_read_for_a_cloud(two_days):
+    placed, asked = two_days
+    cloud = merged_cloud("", placed[:1], lambda *_: None).points
+    assert walls(cloud) > 0 and {kind for _, kind in asked} == {"npy"}
