@@ -18,10 +18,10 @@ from revisit.cli.recordings import Poses, opened
 from revisit.core.errors import BadField
 
 if TYPE_CHECKING:
-    from revisit.cli.earth import OnEarth
     from revisit.cli.map_files import PlacedSubmap
     from revisit.cli.pose_graph_files import Graph
     from revisit.evaluation.datasets import Recording
+    from revisit.sdk.earth import OnEarth
 
 TEXTS = ("g2o", "tum", "csv")
 FILES = (
@@ -152,7 +152,7 @@ class Asked:
 
 def _write_file(file_format: str, out: Path, asked: Asked) -> dict[str, Any]:
     """Poses, a cloud, a mesh or a grid, with a bar; a summary."""
-    from revisit.cli.earth import frame_on_earth
+    from revisit.cli.earth import frame_on_earth, placed_on
     from revisit.cli.map_files import placed_submaps
 
     http, chosen, frame, epsg = asked.http, asked.chosen, asked.frame, asked.epsg
@@ -168,7 +168,7 @@ def _write_file(file_format: str, out: Path, asked: Asked) -> dict[str, Any]:
     if earth is None and (frame == "enu" or file_format == "geojson"):
         raise refuse(f"map {chosen[0]} does not lie on earth: no anchors hold its version in force")
     if earth is not None and not epsg and file_format != "geojson":
-        placed = earth.placed(placed)
+        placed = placed_on(earth, placed)
     out.parent.mkdir(parents=True, exist_ok=True)
     with progress_bar(quiet=False) as bar:
         more: dict[str, Writer] = {

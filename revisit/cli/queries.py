@@ -179,6 +179,12 @@ def _localize(client: Client, map_id: str, cloud: Path, k: int, where: dict[str,
         return
     x, y, z = found.T_odom_query[:3, 3]
     say(f"Taken at x {x:.2f} m, y {y:.2f} m, z {z:.2f} m in the odometry frame of {short_name(found.session or '')}.")
+    earth = client.maps.on_earth(f"maps/{map_id}").get(found.in_map.frame) if found.in_map else None
+    if found.in_map is not None and earth is not None:
+        at = earth.pose(found.in_map.T_map)
+        say(
+            f"On earth: {at.latitude_deg:.7f}, {at.longitude_deg:.7f}, heading {at.heading_deg:.1f} degrees from north."
+        )
 
 
 @needs("service")

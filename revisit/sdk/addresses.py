@@ -49,7 +49,7 @@ def _parts(url: str) -> tuple[str, int | None, bool]:
         host, port = parts.hostname, parts.port
     except ValueError:
         host, port = None, None
-    if not host or parts.scheme not in ("http", "https"):
+    if not host or any(map(str.isspace, url)) or parts.scheme not in ("http", "https"):
         raise BadField(f"{url!r} is no address of a service: it is http://HOST:PORT or HOST", field="http")
     return f"[{host}]" if ":" in host else host, port, parts.scheme == "https"
 

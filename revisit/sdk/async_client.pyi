@@ -7,6 +7,7 @@ from contextlib import AbstractAsyncContextManager
 from pathlib import Path
 from revisit.sdk.anchors import NewAnchor
 from revisit.sdk.clouds import PointsLike
+from revisit.sdk.earth import OnEarth
 from revisit.sdk.explanations import NearMiss
 from revisit.sdk.explanations import explain
 from revisit.sdk.resources import Anchor
@@ -99,6 +100,8 @@ class Maps:
     async def revert(self, map_: str | Map, version: int) -> MapVersion:
         ...
     async def merge(self, map_: str | Map, source: str | Map | Session, *, validate_only: bool=False, T_map_source: Any=None, radius_m: float | None=None) -> Operation:
+        ...
+    async def on_earth(self, map_: str | Map) -> dict[str, OnEarth]:
         ...
     async def merges(self, map_: str | Map) -> builtins.list[MapMerge]:
         ...

@@ -92,7 +92,6 @@ _CLASSES: dict[str, type[ApiError]] = {
 }
 
 _SIGNS = (
-    ("missing an 'http://'", "the address of REST begins with http:// or https://, e.g. http://127.0.0.1:8080"),
     ("illegal request line", "is this the gRPC port? REST has another one, 8080 by default"),
     ("Expected SETTINGS frame", "is this the REST port? gRPC has another one, 8090 by default"),
     ("Misformatted domain name", "the address of gRPC is host:port, without http://, e.g. 127.0.0.1:8090"),

@@ -205,6 +205,11 @@ def test_drives_are_exported_on_earth_where_anchors_hold_the_map(tmp_path):
         client.wait(client.optimise_map("maps/town"))
         (found,) = client.map_versions("maps/town")[-1].summary.georeferences
         assert (found.anchors, found.of_anchors) == (48, 60) and found.covariance.shape == (6, 6)
+        poses = client.maps.on_earth("maps/town")[found.frame]
+        at, origin = poses.pose(np.linalg.inv(found.T_enu_map)), client.get_map("maps/town").origin
+        assert (at.latitude_deg, at.longitude_deg) == pytest.approx((origin.latitude_deg, origin.longitude_deg))
+        assert at.heading_deg == pytest.approx(90.0)
+        assert client.maps.on_earth(client.create_map("elsewhere")) == {}
         written = CliRunner().invoke(app, asked)
         assert written.exit_code == 0, written.output
     features = {one["properties"]["session"]: one for one in json.loads(out.read_text())["features"]}

@@ -7,6 +7,7 @@ from dataclasses import asdict
 from typing import Any
 
 from revisit.sdk import names
+from revisit.sdk.earth import OnEarth
 from revisit.sdk.groups.group import Group
 from revisit.sdk.messages import pose_message
 from revisit.sdk.names import name_of
@@ -118,6 +119,21 @@ class Maps(Group):
             t_map_source=pose_message(T_map_source, "T_map_source"),
         )
         return Operation.of(asked)
+
+    def on_earth(self, map_: str | Map) -> dict[str, OnEarth]:
+        """The frames of a map that anchors hold on earth, by name, in the version in force: none where none do.
+
+        `on_earth(map)[found.in_map.frame].pose(found.in_map.T_map)` is latitude, longitude, altitude and heading of an
+        answer.
+        """
+        name = name_of(map_, names.MAP)
+        origin = Map.of(self._ask("GetMap", name=name)).origin
+        versions = self._list(MapVersion, "ListMapVersions", parent=name)
+        if origin is None:
+            return {}
+        at = (origin.latitude_deg, origin.longitude_deg, origin.altitude_m)
+        held = [one for version in versions if version.in_force for one in version.summary.georeferences]
+        return {one.frame: OnEarth(at, one.T_enu_map) for one in held}
 
     def merges(self, map_: str | Map) -> builtins.list[MapMerge]:
         """The merges into a map, oldest first, with the changes between the days."""

@@ -12,10 +12,10 @@ from typer.testing import CliRunner
 import revisit.cli.earth as earths
 from revisit.cli import map_files
 from revisit.cli.app import app
-from revisit.cli.earth import OnEarth
 from revisit.cli.map_files import MergedCloud, PlacedSubmap
 from revisit.core.errors import BadField
-from revisit.core.geometry import se3
+from revisit.core.geometry import geodesy, se3
+from revisit.sdk.earth import OnEarth
 
 pytest.importorskip("pyproj", reason="in the extra `crs`")
 
@@ -40,6 +40,16 @@ def test_a_turned_map_keeps_its_shape():
     north = OnEarth((48.1, 11.5, 520.0), np.eye(4)).projected(np.array([[0.0, 0.0, 0.0], [0.0, 100.0, 0.0]]), 25832)
     east, along = (north[1] - north[0])[:2]
     assert np.degrees(np.arctan2(east, along)) == pytest.approx(-2.5 * np.sin(np.radians(48.1)), abs=0.02)
+
+
+@pytest.mark.parametrize("latitude_deg", [-60.0, 0.0, 48.1, 75.0])
+def test_a_pose_of_the_map_has_a_place_and_a_heading_on_earth(latitude_deg):
+    earth = OnEarth((latitude_deg, 11.5, 520.0), TURNED)
+    T_map = se3.inverse(TURNED) @ se3.from_yaw(np.radians(90.0 - 30.0), (300.0, -120.0, 4.0))
+    at = earth.pose(T_map)
+    assert at.heading_deg == pytest.approx(30.0, abs=0.02), "the meridians of 300 m are not parallel"
+    where = np.array([[at.latitude_deg, at.longitude_deg, at.altitude_m]])
+    assert geodesy.enu((latitude_deg, 11.5, 520.0), where)[0] == pytest.approx([300.0, -120.0, 4.0], abs=1e-3)
 
 
 @pytest.mark.parametrize(

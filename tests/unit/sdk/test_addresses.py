@@ -47,7 +47,7 @@ def test_options_go_before_variables(monkeypatch):
     assert grpc_address("lab:1", "") == "lab:1"
 
 
-@pytest.mark.parametrize("wrong", ["ftp://hub", "http://", "http://hub:port", "::1", "http://hub:99999"])
+@pytest.mark.parametrize("wrong", ["ftp://hub", "http://", "not a url", "http://hub:port", "::1", "http://hub:99999"])
 def test_what_is_no_address_is_refused(wrong):
     with pytest.raises(BadField, match="is no address of a service"):
         http_address(wrong)

@@ -130,8 +130,6 @@ def test_a_file_of_authorities_that_cannot_be_used_is_named(make, tmp_path):
 @pytest.mark.parametrize(
     ("client", "address", "advice"),
     [
-        (Client, "not a url", "begins with http://"),
-        (Client, "127.0.0.1:{http}", "begins with http://"),
         (Client, "http://127.0.0.1:{grpc}", "is this the gRPC port?"),
         (Client, "https://127.0.0.1:{http}", "no TLS is spoken there"),
         (Client, "http://127.0.0.1:1", "is it running?"),
