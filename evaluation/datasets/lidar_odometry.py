@@ -78,7 +78,8 @@ def _kiss_icp(cloud: NDArray[np.float64]) -> KissICP:
         from kiss_icp.config.config import DataConfig, MappingConfig, RegistrationConfig
         from kiss_icp.kiss_icp import KissICP
     except ModuleNotFoundError as error:
-        raise ImportError(f"KISS-ICP is not installed: pip install 'revisit-loops[{KISS_ICP}]'") from error
+        message = f"KISS-ICP is not installed: pip install 'revisit-loops[{KISS_ICP}]'"
+        raise ImportError(message, name="kiss_icp") from error
     ranges = np.linalg.norm(cloud, axis=1)
     reach = float(np.clip(1.5 * np.percentile(ranges, 95.0) if len(ranges) else 0.0, *MAX_RANGE_M))
     return KissICP(

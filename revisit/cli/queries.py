@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from contextlib import AbstractContextManager
 from dataclasses import asdict
 from pathlib import Path
@@ -175,16 +176,27 @@ def _localize(client: Client, map_id: str, cloud: Path, k: int, where: dict[str,
     if found.best is None or found.T_odom_query is None:
         count = found.on_other_storeys
         left_out = f" ({count} submaps on other storeys were left out)" if count else ""
-        say(f"This place is not in the map{left_out}.")
+        say(f"{unplaced([c.reason for c in found.candidates])}{left_out}.")
         return
     x, y, z = found.T_odom_query[:3, 3]
     say(f"Taken at x {x:.2f} m, y {y:.2f} m, z {z:.2f} m in the odometry frame of {short_name(found.session or '')}.")
-    earth = client.maps.on_earth(f"maps/{map_id}").get(found.in_map.frame) if found.in_map else None
-    if found.in_map is not None and earth is not None:
+    if found.in_map is None or found.in_map.T_map is None:
+        return
+    x_m, y_m, z_m, yaw_deg = _planar(found.in_map.T_map)
+    say(f"In {found.in_map.frame} of the map: x {x_m} m, y {y_m} m, z {z_m} m, yaw {yaw_deg} degrees.")
+    earth = client.maps.on_earth(f"maps/{map_id}").get(found.in_map.frame)
+    if earth is not None:
         at = earth.pose(found.in_map.T_map)
         say(
             f"On earth: {at.latitude_deg:.7f}, {at.longitude_deg:.7f}, heading {at.heading_deg:.1f} degrees from north."
         )
+
+
+def unplaced(reasons: Sequence[str | None]) -> str:
+    """Why a cloud has no pose in a map, by the reasons of the candidates."""
+    if "AMBIGUOUS" in reasons:
+        return "Several poses in the map fit this cloud alike, so none is told; drive on and ask with --along"
+    return "This place is not in the map"
 
 
 @needs("service")

@@ -318,7 +318,7 @@ def test_a_map_is_merged_into_another_looked_at_and_taken_out_again_by_typing(se
     assert json.loads(invoke("merge", "--undo", *held, "--json"))["reverted_at_ns"] > 0
     both = CliRunner().invoke(app, ["merge", "--changes", "--undo", *held])
     assert both.exit_code == 1 and "either --changes or --undo" in both.output
-    assert "not compared" in CliRunner().invoke(app, ["merge", "--changes", *held]).output
+    assert "is in force" in CliRunner().invoke(app, ["merge", "--changes", *held]).output
     far = CliRunner().invoke(app, ["merge", "typed-one", "typed-two", "--near", "900,0,0,0", "--radius", "5", *at])
     assert far.exit_code == 1 and "TOO_FEW_LOOPS" in far.output
 

@@ -6,7 +6,9 @@ import sys
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
+from revisit.cli.app import app
 from revisit.cli.ingest import Extent
 from revisit.core.errors import BadField
 from revisit.core.geometry import se3
@@ -140,3 +142,5 @@ def test_without_kiss_icp_a_sentence_names_the_extra(folder, monkeypatch):
     monkeypatch.setitem(sys.modules, "kiss_icp.config", None)
     with pytest.raises(ImportError, match=r"pip install 'revisit-loops\[kiss-icp\]'"):
         open_recording(folder, wanted=WANTED)
+    answer = CliRunner().invoke(app, ["ingest", str(folder), "--odometry", KISS_ICP])
+    assert str(answer.exception) == "revisit: KISS-ICP is not installed: pip install 'revisit-loops[kiss-icp]'"
