@@ -9,8 +9,7 @@ things      clusters of points that are more than noise
 visits      what one drive saw of a place at one time
 standing    the points that no later drive looked through
 tiles       the surface of a square of a map
-changes     things that vanished or appeared between two days
-history     what changed from drive to drive
+history     what changed from drive to drive, or between two days
 
 Names are imported from their modules: the gateway reads `evidence` without loading a kernel.
 """

@@ -13,13 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from revisit.core.merge.changes import thing_around
-from revisit.core.merge.evidence import ChangedThing, ChangeKind, DatedChange
+from revisit.core.merge.evidence import ChangedThing, ChangeKind, DatedChange, Vector
 from revisit.core.merge.fused import PlacedMap
 from revisit.core.merge.things import thing_of_many
 from revisit.core.merge.visits import Visit, visits_of
 
 Array64 = NDArray[np.float64]
+
+MOST_CHANGES = 500
 
 MOVED_M = 10.0
 ALIKE = 0.35
@@ -66,21 +67,42 @@ def changes_over_time(maps: Sequence[PlacedMap], half_m: float = np.inf) -> list
 
     Judged are points within `half_m` of the middle of the frame, along x and along y.
     """
-    visits = [one for one in visits_of(maps, half_m) if len(one.points)]
-    found: list[DatedChange] = []
+    found = [one for left, new in _by_visit(visits_of(maps, half_m)) for one in _with_moves(left, new, _scale(maps))]
+    return sorted(found, key=lambda one: (one.stamp_ns, *_largest_first(one.thing)))
+
+
+def changes_between(pairs: Sequence[tuple[PlacedMap, PlacedMap]]) -> list[ChangedThing]:
+    """Changes from the first day to the second, the largest first; each pair has a submap of both days."""
+    days = [{pair[day].T_map_submap.tobytes(): pair[day] for pair in pairs} for day in (0, 1)]
+    maps = [replace(one, session=day, stamp_ns=day) for day, some in enumerate(days) for one in some.values()]
+    found = [one.thing for left, new in _by_visit(visits_of(maps)) for one in (*left, *new)]
+    return sorted(found, key=_largest_first)[:MOST_CHANGES]
+
+
+def _by_visit(visits: Sequence[Visit]) -> Iterator[tuple[list[DatedChange], list[DatedChange]]]:
+    """What has vanished when each visit came, and what has appeared."""
     standing, gone = _NONE, _NONE
     for number, visit in enumerate(visits):
         unseen = standing[~visit.has(standing.positions)]
         vanished = _vanished(visit, unseen)
-        appeared = list(_appeared(visit, visits[:number], standing, gone))
-        lost = vanished >= 0
-        left = [
-            _change(ChangeKind.VANISHED, visit, unseen[vanished == one]) for one in range(vanished.max(initial=-1) + 1)
-        ]
-        found += _with_moves(left, appeared, visit.scale)
-        gone += unseen[lost]
-        standing = unseen[~lost].and_those_of(visit)
-    return sorted(found, key=lambda one: (one.stamp_ns, -one.thing.points, one.thing.kind, one.thing.centre_m))
+        yield (
+            [
+                _change(ChangeKind.VANISHED, visit, unseen[vanished == one])
+                for one in range(vanished.max(initial=-1) + 1)
+            ],
+            list(_appeared(visit, visits[:number], standing, gone)),
+        )
+        gone += unseen[vanished >= 0]
+        standing = unseen[vanished < 0].and_those_of(visit)
+
+
+def _scale(maps: Sequence[PlacedMap]) -> float:
+    """That of the scene."""
+    return maps[0].neural_map.frame.scale if maps else 1.0
+
+
+def _largest_first(thing: ChangedThing) -> tuple[int, str, Vector]:
+    return -thing.points, thing.kind, thing.centre_m
 
 
 def _vanished(visit: Visit, unseen: _Points) -> NDArray[np.int64]:
@@ -110,7 +132,11 @@ def _appeared(visit: Visit, former: Sequence[Visit], standing: _Points, gone: _P
 
 
 def _change(kind: ChangeKind, visit: Visit, seen: _Points) -> DatedChange:
-    thing = thing_around(kind, seen.positions)
+    low, high = seen.positions.min(axis=0), seen.positions.max(axis=0)
+    centre, extent = (0.5 * (low + high)).tolist(), (high - low).tolist()
+    thing = ChangedThing(
+        kind, (centre[0], centre[1], centre[2]), (extent[0], extent[1], extent[2]), len(seen.positions)
+    )
     return DatedChange(thing, visit.session, visit.stamp_ns, int(seen.stamps_ns.max()))
 
 

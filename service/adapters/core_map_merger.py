@@ -70,7 +70,7 @@ class CoreMapMerger:
         progress: Progress,
     ) -> MergeEvidence:
         """See `MapMerger`."""
-        from revisit.core.merge.changes import changes_between
+        from revisit.core.merge.history import changes_between
         from revisit.core.merge.overlap import compare_pairs, pairs_in_reach
 
         if not first or not second:

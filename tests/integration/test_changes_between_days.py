@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from revisit.core.merge.changes import changes_between
 from revisit.core.merge.evidence import ChangedThing, ChangeKind
+from revisit.core.merge.history import changes_between
 from revisit.core.merge.overlap import pairs_in_reach
 from revisit.evaluation.simulator.city import World, build_city
 from revisit.evaluation.simulator.paths import Path
@@ -77,4 +77,4 @@ def scores(seed: int) -> tuple[int, int, int, int]:
 def test_cars_that_left_or_came_are_found_and_little_else_is():
     right, wrong, found, wanted = np.sum([scores(seed) for seed in (11, 12, 13)], axis=0)
     print(f"precision {right}/{right + wrong}, recall {found}/{wanted}")
-    assert right >= 0.8 * (right + wrong) and found >= 0.8 * wanted
+    assert right >= 0.85 * (right + wrong) and found >= 0.9 * wanted

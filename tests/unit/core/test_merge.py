@@ -15,9 +15,9 @@ from revisit.core.config import ImplicitMapConfig, SurfaceConfig
 from revisit.core.errors import BadField, DescriptorModelMismatch
 from revisit.core.geometry import se3
 from revisit.core.implicit_map import NeuralMap, fit_implicit_map
-from revisit.core.merge.changes import changes_between
 from revisit.core.merge.evidence import ChangeKind, JoiningLoops, MergeRefusal, loops_refusal, surfaces_refusal
 from revisit.core.merge.fused import PlacedMap, merge_neural_maps
+from revisit.core.merge.history import changes_between
 from revisit.core.merge.overlap import compare_pairs
 from revisit.core.model_bundle import load_packaged_models
 from revisit.core.profiles import Profile, profile_config, profile_models
