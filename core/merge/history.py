@@ -49,7 +49,7 @@ class _Points:
     def and_those_of(self, visit: Visit) -> _Points:
         """With the points of a visit."""
         count = len(visit.points)
-        return self + _Points(visit.points, np.full(count, visit.session), np.full(count, visit.stamp_ns))
+        return self + _Points(visit.points, np.full(count, visit.session), visit.stamps_ns)
 
     def __add__(self, other: _Points) -> _Points:
         return _Points(
@@ -109,7 +109,7 @@ def _vanished(visit: Visit, unseen: _Points) -> NDArray[np.int64]:
     """The thing (n,) that has vanished with each of the points of others that a visit did not see; -1 for none."""
     through = unseen.sessions != visit.session
     rows = np.flatnonzero(through)
-    rows = rows[visit.looked_through(unseen.positions[rows])]
+    rows = rows[visit.looked_through(unseen.positions[rows], unseen.stamps_ns[rows])]
     things = np.full(len(unseen.positions), -1)
     things[rows] = thing_of_many(unseen.positions[rows], visit.resolution_m, visit.scale)
     return things
@@ -117,11 +117,12 @@ def _vanished(visit: Visit, unseen: _Points) -> NDArray[np.int64]:
 
 def _appeared(visit: Visit, former: Sequence[Visit], standing: _Points, gone: _Points) -> Iterator[DatedChange]:
     """The things of a visit that stand where former visits of others looked through."""
-    fresh = visit.points[~standing.near(visit.points, visit.resolution_m)]
+    is_fresh = ~standing.near(visit.points, visit.resolution_m)
+    fresh, stamps_ns = visit.points[is_fresh], visit.stamps_ns[is_fresh]
     seen_ns = np.full(len(fresh), -1)
     for one in former:
         if one.session != visit.session:
-            seen_ns[one.looked_through(fresh)] = one.stamp_ns
+            seen_ns[one.looked_through(fresh, stamps_ns, sooner=True)] = one.stamp_ns
     new, before_ns = fresh[seen_ns >= 0], seen_ns[seen_ns >= 0]
     things, was_here = thing_of_many(new, visit.resolution_m, visit.scale), gone.near(new, visit.resolution_m)
     for number in range(things.max(initial=-1) + 1):

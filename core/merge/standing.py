@@ -53,19 +53,23 @@ def standing(maps: Sequence[PlacedMap], half_m: float = np.inf) -> list[NDArray[
 
 @dataclass(frozen=True)
 class _Seen:
-    """The points (n, 3) of all visits, one after another; of which session and of which visit each is."""
+    """The points (n, 3) of all visits, one after another; the session and the visit of each, and when it was seen."""
 
     visits: Sequence[Visit]
     points: NDArray[np.float64]
     session: Rows
     visit: Rows
+    stamps_ns: Rows
 
 
 def _gone(visits: Sequence[Visit]) -> NDArray[np.bool_]:
     """Which points (n,) of all visits no longer stand: those of things that were looked through, and their feet."""
     sizes = [len(one.points) for one in visits]
     session, number = (np.repeat(its, sizes) for its in ([one.session for one in visits], np.arange(len(visits))))
-    seen = _Seen(visits, np.concatenate([one.points for one in visits]), session, number)
+    points, stamps_ns = (
+        np.concatenate(parts) for parts in zip(*((one.points, one.stamps_ns) for one in visits), strict=True)
+    )
+    seen = _Seen(visits, points, session, number, stamps_ns)
     gone_by = _looked_through_by(seen)
     rows = np.flatnonzero(gone_by >= 0)
     things = thing_of_many(seen.points[rows], visits[0].resolution_m, visits[0].scale)
@@ -81,7 +85,7 @@ def _looked_through_by(seen: _Seen) -> Rows:
         earlier = open_rows[seen.visit[open_rows] < number]
         unseen = earlier[~visit.has(seen.points[earlier])]
         others = unseen[seen.session[unseen] != visit.session]
-        gone_by[others[visit.looked_through(seen.points[others])]] = number
+        gone_by[others[visit.looked_through(seen.points[others], seen.stamps_ns[others])]] = number
         open_rows = unseen[gone_by[unseen] < 0]
     return gone_by
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,7 +25,7 @@ LONGEST_NS = 3600 * 10**9
 """A drive that pauses for longer, or lasts longer, is more than one visit."""
 
 DATED_NS = 10**18
-"""Stamps before it (2001) are of clocks that do not know the date."""
+"""Stamps before it (2001) are of clocks that do not know the date: they tell the order within a session alone."""
 
 
 @dataclass(frozen=True)
@@ -45,6 +44,12 @@ class Visit:
     def stamp_ns(self) -> int:
         """When it ended."""
         return max(one.stamp_ns for one in self.maps)
+
+    @cached_property
+    def stamps_ns(self) -> NDArray[np.int64]:
+        """When the submap of each of its points was taken (n,)."""
+        sizes = [len(rows) for rows in self.of_maps]
+        return np.repeat(np.array([one.stamp_ns for one in self.maps], np.int64), sizes)
 
     @property
     def scale(self) -> float:
@@ -111,11 +116,18 @@ class Visit:
         on[rows], beside[rows] = aside < ON_SURFACE * self.resolution_m, aside >= ON_SURFACE * self.resolution_m
         return on, beside
 
-    def looked_through(self, points: Array64) -> NDArray[np.bool_]:
-        """Which points (n, 3) of the map, metres, stood before what it saw."""
+    def looked_through(
+        self, points: Array64, stamps_ns: NDArray[np.int64], *, sooner: bool = False
+    ) -> NDArray[np.bool_]:
+        """Which points (n, 3) of the map, metres, stood before what it saw later than they were seen, or `sooner`.
+
+        Two robots may drive at one time: what one of them saw before a point was there says nothing against it.
+        """
         through = np.zeros(len(points), dtype=bool)
         for one in self.maps:
             reach = np.linalg.norm(points - one.T_map_submap[:3, 3], axis=1) < 1.5 * CHANGE_REACH_M * self.scale
+            if one.stamp_ns >= DATED_NS:
+                reach &= stamps_ns > one.stamp_ns if sooner else stamps_ns < one.stamp_ns
             rows = np.flatnonzero(reach & ~through)
             positions = seen_from_map(points[rows], one)
             near = np.linalg.norm(positions, axis=1) < CHANGE_REACH_M
@@ -134,19 +146,16 @@ def visits_of(maps: Sequence[PlacedMap], half_m: float = np.inf) -> list[Visit]:
         else:
             parts.append([row])
     visits = [Visit(maps[part[0]].session, tuple(maps[row] for row in part), tuple(part), half_m) for part in parts]
-    by_number = _restarted(visits)
-    return sorted(visits, key=lambda one: (one.session if by_number else 0, one.stamp_ns, one.session))
+    return sorted(visits, key=lambda one: in_time(one.session, one.stamp_ns))
 
 
-def _restarted(visits: Sequence[Visit]) -> bool:
-    """Whether clocks began anew with each session, so that they do not tell the order of sessions: their numbers do."""
-    if any(one.stamp_ns >= DATED_NS for one in visits):
-        return False
-    spans: dict[int, list[int]] = {}
-    for visit in visits:
-        spans.setdefault(visit.session, []).extend(one.stamp_ns for one in visit.maps)
-    ordered = sorted((min(stamps), max(stamps)) for stamps in spans.values())
-    return any(later[0] <= sooner[1] for sooner, later in pairwise(ordered))
+def in_time(session: int, stamp_ns: int) -> tuple[int, int, int]:
+    """The place in the order of time of what a session saw at a moment.
+
+    Clocks that do not know the date may begin anew with each session, and two submaps near one place do not tell
+    whether they did: sessions of such clocks are in the order of their numbers.
+    """
+    return (stamp_ns if stamp_ns >= DATED_NS else 0, session, stamp_ns)
 
 
 def _goes_on(first: PlacedMap, last: PlacedMap, one: PlacedMap) -> bool:

@@ -120,3 +120,33 @@ def test_a_drive_that_pauses_is_two_visits(minutes, visits):
     first = seen(1)
     again = PlacedMap(first.neural_map, first.T_map_submap, 1, first.stamp_ns + minutes * 60 * 10**9)
     assert len(visits_of([first, again])) == visits
+
+
+def at(one, stamp_ns):
+    """The same submap, taken at another time."""
+    return PlacedMap(one.neural_map, one.T_map_submap, one.session, stamp_ns)
+
+
+def test_clocks_without_a_date_leave_the_order_to_the_numbers_also_where_two_drives_passed_at_different_times():
+    maps = [at(seen(1, WALL), 100 * 10**9), at(seen(2), 10 * 10**9)]  # the second drive came by sooner after its start
+    assert [one.session for one in visits_of(maps)] == [1, 2]
+    assert not standing(maps)[0][of_wall(maps[0])].any()
+    assert [one.thing.kind for one in changes_over_time(maps)] == [ChangeKind.VANISHED]
+
+
+def test_what_a_robot_saw_before_a_thing_was_there_says_nothing_against_it():
+    minutes = [EPOCH_NS + 60 * 10**9 * minute for minute in (0, 5, 9, 10)]
+    before, ended = at(seen(2), minutes[0]), at(seen(2, x_m=60.0), minutes[3])  # one drive: it passed, and went on
+    parked = at(seen(1, WALL), minutes[2])  # beside it, another robot's
+    maps = [before, parked, ended]
+    assert [one.session for one in visits_of(maps)] == [1, 2]
+    assert standing(maps)[1].all()
+    assert ChangeKind.VANISHED not in [one.thing.kind for one in changes_over_time(maps)]
+    gone = at(seen(2), minutes[3])
+    assert not standing([before, parked, gone])[1][of_wall(parked)].any()
+
+
+def test_what_was_seen_at_one_time_in_a_drive_is_dated_by_its_submap():
+    first = [at(seen(1, WALL), EPOCH_NS), at(seen(1, x_m=60.0), EPOCH_NS + 300 * 10**9)]
+    (gone,) = changes_over_time([*first, seen(2)])
+    assert gone.before_ns == EPOCH_NS
