@@ -48,6 +48,19 @@ CHANGE_REACH_M = 25.0
 """In a scene of the size of a street: farther from the middle of a submap its free space is not relied on."""
 
 
+DATED_NS = 10**18
+"""Stamps before it (2001) are of clocks that do not know the date: they tell the order within a session alone."""
+
+
+def in_time(session: int, stamp_ns: int) -> tuple[int, int, int]:
+    """The place in the order of time of what a session saw at a moment.
+
+    Clocks that do not know the date may begin anew with each session, and two submaps near one place do not tell
+    whether they did: sessions of such clocks are in the order of their numbers.
+    """
+    return (stamp_ns if stamp_ns >= DATED_NS else 0, session, stamp_ns)
+
+
 class ChangeKind(StrEnum):
     """Which day has it: the first one (it vanished) or the second (it appeared).
 

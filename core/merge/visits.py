@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from revisit.core.merge.evidence import CHANGE_REACH_M
+from revisit.core.merge.evidence import CHANGE_REACH_M, DATED_NS, in_time
 from revisit.core.merge.fused import PlacedMap
 from revisit.core.merge.overlap import looked_through, normals_in_map, points_in_map, seen_from_map
 from revisit.core.merge.things import are_in, voxels_of
@@ -23,9 +23,6 @@ ON_SURFACE = 0.35
 GAP_NS = 600 * 10**9
 LONGEST_NS = 3600 * 10**9
 """A drive that pauses for longer, or lasts longer, is more than one visit."""
-
-DATED_NS = 10**18
-"""Stamps before it (2001) are of clocks that do not know the date: they tell the order within a session alone."""
 
 
 @dataclass(frozen=True)
@@ -147,15 +144,6 @@ def visits_of(maps: Sequence[PlacedMap], half_m: float = np.inf) -> list[Visit]:
             parts.append([row])
     visits = [Visit(maps[part[0]].session, tuple(maps[row] for row in part), tuple(part), half_m) for part in parts]
     return sorted(visits, key=lambda one: in_time(one.session, one.stamp_ns))
-
-
-def in_time(session: int, stamp_ns: int) -> tuple[int, int, int]:
-    """The place in the order of time of what a session saw at a moment.
-
-    Clocks that do not know the date may begin anew with each session, and two submaps near one place do not tell
-    whether they did: sessions of such clocks are in the order of their numbers.
-    """
-    return (stamp_ns if stamp_ns >= DATED_NS else 0, session, stamp_ns)
 
 
 def _goes_on(first: PlacedMap, last: PlacedMap, one: PlacedMap) -> bool:

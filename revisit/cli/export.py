@@ -89,6 +89,8 @@ def export(
     tiles show what the latest drive left, unless --as-of or --ever say otherwise.
     """
     _require_fitting(file_format, session_id, recording, out)
+    if (as_of or ever) and file_format in (*TEXTS, "scans"):
+        raise refuse(f"--format {file_format} writes what was driven: --as-of and --ever are of surfaces and poses")
     if frame not in ("map", "enu"):
         raise refuse("--frame is map or enu")
     if epsg and (file_format != "laz" or frame == "enu"):

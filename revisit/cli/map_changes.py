@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from revisit.cli.moments import moment_ns
+from revisit.cli.moments import moment_ns, since_ns
 from revisit.cli.options import HTTP, Http, Json, MapName
 from revisit.cli.output import emit_json, emit_table, refuse, say, utc
 
@@ -26,9 +26,9 @@ _ASKED_AGAIN = 120
 def changes(
     map_id: MapName = "default",
     since: Annotated[
-        str, typer.Option(metavar="TIME", help="Found after then: 2026-11-27, 2026-11-27T16:30, or ns since 1970.")
+        str, typer.Option(metavar="TIME", help="Found from then on: 2026-11-27, 2026-11-27T16:30, or ns since 1970.")
     ] = "",
-    until: Annotated[str, typer.Option(metavar="TIME", help="Found up to then.")] = "",
+    until: Annotated[str, typer.Option(metavar="TIME", help="Found up to then, a date included.")] = "",
     geojson: Annotated[
         Path | None, typer.Option(help="Write them as boxes of WGS 84 to this file; the map must lie on earth.")
     ] = None,
@@ -42,7 +42,7 @@ def changes(
     from revisit.sdk.client import Client
 
     with Client(http) as client:
-        found = _found(client, map_id, moment_ns(since) or 0, moment_ns(until) or 0)
+        found = _found(client, map_id, since_ns(since), moment_ns(until) or 0)
     if geojson is not None:
         _write_geojson(geojson, http, map_id, found)
     if json:
@@ -55,9 +55,11 @@ def _found(client: Client, map_id: str, after_ns: int, until_ns: int) -> list[Ma
     """The changes, asked for again while drives are compared. Exits where that takes an hour."""
     from revisit.sdk.errors import DeadlineExceeded
 
+    # One version: while robots drive, the next one comes before the drives of this one are compared.
+    version = client.versions.name(f"maps/{map_id}")
     for _ in range(_ASKED_AGAIN):
         try:
-            return client.map_changes(f"maps/{map_id}", after_ns=after_ns, until_ns=until_ns)
+            return client.map_changes(version, after_ns=after_ns, until_ns=until_ns)
         except DeadlineExceeded as still:
             say(f"{still.message}")
     raise refuse(f"the drives of map {map_id} are still being compared")

@@ -9,6 +9,8 @@ import typer
 
 from revisit.cli.output import refuse
 
+DAY_NS = 86_400 * 10**9
+
 AsOf = Annotated[
     str,
     typer.Option(
@@ -18,16 +20,25 @@ AsOf = Annotated[
 Ever = Annotated[bool, typer.Option("--ever", help="Also what a later drive looked through.")]
 
 
+def since_ns(text: str) -> int:
+    """The moment after which all is that is not before `text`, of a date its beginning; 0 for "". Refuses as below."""
+    found = moment_ns(text)
+    return 0 if found is None else max(0, found - (DAY_NS if _is_date(text) else 1))
+
+
 def moment_ns(text: str) -> int | None:
     """Nanoseconds since 1970 of a moment (UTC without a zone), of a date its end; None for "". Refuses other text."""
     if not text:
         return None
-    if text.isdigit():
+    if text.isascii() and text.isdigit():
         return int(text)
     try:
         found = datetime.fromisoformat(text)
     except ValueError as error:
         raise refuse(f"{text!r} is no time: 2026-11-27, 2026-11-27T16:30, or nanoseconds since 1970") from error
-    whole_day_s = 86_400 if len(text) <= len("2026-11-27") else 0
     dated = found if found.tzinfo else found.replace(tzinfo=UTC)
-    return (int(dated.timestamp() * 1e6) * 1000) + whole_day_s * 10**9 - (1 if whole_day_s else 0)
+    return (int(dated.timestamp() * 1e6) * 1000) + (DAY_NS - 1 if _is_date(text) else 0)
+
+
+def _is_date(text: str) -> bool:
+    return "-" in text and len(text) <= len("2026-11-27")

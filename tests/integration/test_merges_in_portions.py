@@ -12,8 +12,9 @@ from revisit.core.geometry import se3
 from revisit.core.pair_verdict import LoopMeasurement, RejectedLoop, RejectionReason, VerifiedLoop
 from revisit.service.calls.operations import operation_fields
 from revisit.service.features.loops.claims import stored_verdict, verdict_of
-from revisit.service.features.merging import portions
+from revisit.service.features.merging import job, portions
 from revisit.service.features.merging.calls import MergeMap
+from revisit.service.features.merging.reading import read_merge
 from revisit.service.ports.blobs import MERGE_PORTION_BLOB, StoredBlob
 from tests.support.fake_recogniser import FakeRecogniser
 from tests.support.fleet_in_service import fleet_in_two
@@ -95,6 +96,18 @@ async def test_a_merge_ends_each_portion_of_its_time_and_no_attempt_counts(monke
     assert pairs == whole.pairs
     assert (await world.use_cases.operations.get(TENANT, portioned)).attempts == 1
     assert await ending(world, portioned) == await ending(undisturbed, merge)
+
+
+async def test_a_portion_begins_with_its_first_pair_however_long_both_maps_are_read(monkeypatch):
+    world, merge = await merging()
+
+    def slowly(uow, **asked):
+        world.clock.ms += 2 * portions.PORTION_MS
+        return read_merge(uow, **asked)
+
+    monkeypatch.setattr(job, "read_merge", slowly)
+    run(world, CountingRecogniser())
+    assert (await world.use_cases.operations.get(TENANT, merge)).state == "DONE"
 
 
 async def test_verdicts_of_a_merge_that_is_cancelled_between_two_runs_are_gone():

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 from revisit.service.domain import limits
@@ -51,13 +51,15 @@ class MapChanges:
         ids = await self._context.storage.read(partial(_sessions, tenant=tenant, map_id=map_id, version=version))
         views = [
             MapChangeView(one, SessionKey(map_id, ids[one.session]), number)
-            for number, one in enumerate(sorted(found.changes, key=lambda its: its.order), 1)
-            if one.session in ids and after_ns < one.stamp_ns and (not until_ns or one.stamp_ns <= until_ns)
+            for number, one in enumerate(found.changes, 1)
+            if one.session in ids
+            and (not after_ns or after_ns < one.stamp_ns)
+            and (not until_ns or one.stamp_ns <= until_ns)
         ]
         return await self._context.lists.page(tenant, page, partial(_following, views=views), as_it_is)
 
     async def _found(self, tenant: TenantId, map_id: str, version: int) -> FoundChanges:
-        """All changes of a version, looked for where that has not ended."""
+        """All changes of a version in the order of time, looked for where that has not ended."""
         found = await self._stored(tenant, map_id, version)
         if found is None or not found.complete:
             payload, subject = {"map_id": map_id, "version": version}, f"maps/{map_id}/versions/{version}"
@@ -76,7 +78,12 @@ class MapChanges:
         sha256 = await self._context.storage.read(known)
         if sha256 is None:
             return None
-        return FoundChanges.of(await asyncio.to_thread(self._context.storage.blobs.get, tenant, TILE_BLOB, sha256))
+        return await asyncio.to_thread(self._read, tenant, sha256)
+
+    def _read(self, tenant: TenantId, sha256: str) -> FoundChanges:
+        """Beside the event loop: those of a large map are megabytes."""
+        found = FoundChanges.of(self._context.storage.blobs.get(tenant, TILE_BLOB, sha256))
+        return replace(found, changes=tuple(sorted(found.changes, key=lambda one: one.order)))
 
 
 def _sessions(uow: UnitOfWork, tenant: TenantId, map_id: str, version: int) -> dict[int, str]:

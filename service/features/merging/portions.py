@@ -26,7 +26,7 @@ STORE_EVERY_MS = 5_000
 """Verified pairs of so long, at most, are lost with a worker."""
 
 PORTION_MS = 30_000
-"""After so long a run that has verified something lets other jobs run, and is queued again: no attempt counts."""
+"""So long a run verifies pairs; then it lets other jobs run, and is queued again: no attempt counts."""
 
 
 class VerdictsSoFar:
@@ -41,7 +41,8 @@ class VerdictsSoFar:
         kept = portion_of(job)
         self._blobs = [] if kept is None else [kept]
         self._known = {} if kept is None else self._read(kept)
-        self._began_ms = self._stored_ms = context.clock.monotonic_ms()
+        self._began_ms: int | None = None
+        self._stored_ms = 0
         self._unstored = 0
 
     def verdict(self, rests_on: tuple[object, ...], verify: Callable[[], PairVerdict]) -> PairVerdict:
@@ -54,6 +55,7 @@ class VerdictsSoFar:
         if known is not None:
             self._known[key] = known
             return verdict_of(known)
+        self._begin()
         verdict = verify()
         if not (isinstance(verdict, RejectedLoop) and verdict.reason is RejectionReason.PLACE_LOST):
             self._known[key] = stored_verdict(verdict)
@@ -82,9 +84,14 @@ class VerdictsSoFar:
         """Delete them: the merge has ended."""
         discard(self._context.blobs, *self._blobs)
 
+    def _begin(self) -> None:
+        """With the first pair: both maps of a large merge are read for longer than a portion lasts."""
+        if self._began_ms is None:
+            self._began_ms = self._stored_ms = self._context.clock.monotonic_ms()
+
     def _end_of_portion(self) -> None:
         now_ms = self._context.clock.monotonic_ms()
-        ended = now_ms >= self._began_ms + PORTION_MS
+        ended = self._began_ms is not None and now_ms >= self._began_ms + PORTION_MS
         if ended or now_ms >= self._stored_ms + STORE_EVERY_MS:
             self.store()
         if ended:

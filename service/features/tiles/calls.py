@@ -32,9 +32,9 @@ from revisit.service.features.operations.joined_jobs import JoinedJobs
 from revisit.service.features.resources.call_context import CallContext
 from revisit.service.features.resources.paging import Page, PageRequest, as_it_is
 from revisit.service.features.tiles.files import render_tile
-from revisit.service.features.tiles.rows import Tiling, read_plan, read_tiling
+from revisit.service.features.tiles.rows import Tiling, found_tile, read_tiling
 from revisit.service.ports.blobs import TILE_BLOB
-from revisit.service.ports.map_tiles import NOW, Moment, TileKey, stored_tile
+from revisit.service.ports.map_tiles import NOW, Moment, TileKey
 from revisit.service.ports.transactions import UnitOfWork
 
 
@@ -146,19 +146,14 @@ class MapTiles:
 
     async def _made(self, tenant: TenantId, key: TileKey) -> str:
         """The hash of the blob of a tile, made by a worker where it is missing."""
-        sha256 = await self._context.storage.read(partial(self._known, tenant=tenant, key=key))
+        find = partial(found_tile, policy=self._context.policy, tenant=tenant, key=key)
+        key, sha256 = await self._context.storage.read(find)
         if sha256 is None:
             payload = {"map_id": key.map_id, "version": key.version, "tile": key.tile_id, **asdict(key.moment)}
             await self._jobs.answer(tenant, OperationKind.MAKE_TILE, key.name, payload)
-            sha256 = await self._context.storage.read(partial(self._known, tenant=tenant, key=key))
+            _, sha256 = await self._context.storage.read(find)
         if sha256 is None:
             raise NoAnswer("the tile was deleted while it was made; ask again")
-        return sha256
-
-    def _known(self, uow: UnitOfWork, tenant: TenantId, key: TileKey) -> str | None:
-        sha256 = stored_tile(uow, tenant, key)
-        if sha256 is None:
-            read_plan(uow, self._context.policy, tenant, key)
         return sha256
 
     async def _measured(self, tenant: TenantId, question: MapQuestion) -> dict[str, Any]:

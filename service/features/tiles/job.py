@@ -113,7 +113,8 @@ class TileMaking:
         raise Unavailable("the submaps of the tile were changed again and again while it was made")
 
     def _found(self, uow: UnitOfWork, tenant: TenantId, key: TileKey) -> tuple[str | None, TilePlan]:
-        return stored_tile(uow, tenant, key), read_plan(uow, self._context.policy, tenant, key)
+        plan = read_plan(uow, self._context.policy, tenant, key)
+        return stored_tile(uow, tenant, plan.key), plan
 
     def _made(self, tenant: TenantId, plan: TilePlan) -> str | None:
         """Make a tile and store it; None where its submaps have changed meanwhile."""

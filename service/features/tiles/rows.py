@@ -2,26 +2,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from revisit.core.config import PipelineConfig
 from revisit.core.geometry.tile_grid import TileGrid
+from revisit.core.merge.evidence import in_time
 from revisit.service.domain.errors import NotFound
 from revisit.service.domain.identity import TenantId
 from revisit.service.domain.policy import Policy
 from revisit.service.domain.records import SessionPosesRecord, SubmapRecord
 from revisit.service.features.graph.session_poses import PackedSubmaps
 from revisit.service.ports.map_merger import PlacedSubmapMap
-from revisit.service.ports.map_tiles import TileKey
+from revisit.service.ports.map_tiles import Moment, TileKey, stored_tile
 from revisit.service.ports.storage import require_map
 from revisit.service.ports.transactions import UnitOfWork
 
 MOST_SUBMAPS = 128
-"""That a tile is made of: the nearest to its middle. A place that was driven more often gains nothing by more."""
+"""That a tile is made of. Of a place that was driven more often these are the latest (`_latest`)."""
+
+_PLACES = 5
+"""Along an edge of a tile: so large is a place, at which the latest submaps come first."""
 
 _NUMBERED_AT_ONCE = 1000
 
@@ -149,23 +154,81 @@ def read_plan(uow: UnitOfWork, policy: Policy, tenant: TenantId, key: TileKey) -
     """The sources of a tile. Raises NotFound for a version that is gone or a tile that no submap reaches."""
     tiling = read_tiling(uow, policy, tenant, key.map_id, key.version)
     rows = tiling.reaching(key)
-    if not len(rows):
+    if len(rows):
+        key = replace(key, moment=_at_a_submap(uow, tenant, tiling.frame(key.frame), rows, key.moment))
+    else:
         raise NotFound(f"there is no tile {key.tile_id!r} in version {key.version} of map {key.map_id!r}"[:200])
     x, y, z = tiling.grid.centre(key.cell).tolist()
-    return TilePlan(key, (x, y, z), planned(uow, tenant, tiling.frame(key.frame), rows, key.moment.as_of_ns))
+    frame, as_of_ns = tiling.frame(key.frame), key.moment.as_of_ns
+    if not key.moment.ever and len(set(frame.sessions[rows].tolist())) > 1:
+        rows = _latest(uow, tenant, frame, rows, as_of_ns, tiling.grid.edge_m / _PLACES)
+    return TilePlan(key, (x, y, z), planned(uow, tenant, frame, rows, as_of_ns))
+
+
+def found_tile(uow: UnitOfWork, policy: Policy, tenant: TenantId, key: TileKey) -> tuple[TileKey, str | None]:
+    """The key under which a tile is stored, and the hash of its blob; None where it was not made yet.
+
+    Raises as `read_plan`.
+    """
+    sha256 = stored_tile(uow, tenant, key) if key.moment.as_of_ns is None else None
+    if sha256 is None:
+        key = read_plan(uow, policy, tenant, key).key
+        sha256 = stored_tile(uow, tenant, key)
+    return key, sha256
+
+
+def _at_a_submap(
+    uow: UnitOfWork, tenant: TenantId, frame: PlacedFrame, rows: NDArray[np.int64], moment: Moment
+) -> Moment:
+    """The moment of the last of some submaps that were taken by then: in between nothing changes.
+
+    So a tile has no more surfaces than submaps, whatever moments somebody asks for.
+    """
+    if moment.as_of_ns is None:
+        return moment
+    stamps_ns = _stamps_ns(uow, tenant, frame, rows)
+    by_then = stamps_ns[stamps_ns <= moment.as_of_ns]
+    as_of_ns = None if len(by_then) == len(rows) else int(by_then.max(initial=0))
+    return replace(moment, as_of_ns=as_of_ns)
+
+
+def _latest(
+    uow: UnitOfWork, tenant: TenantId, frame: PlacedFrame, rows: NDArray[np.int64], as_of_ns: int | None, edge_m: float
+) -> NDArray[np.int64]:
+    """Submaps of several drives, those first that fewest have followed at their place: what it was like is then told
+    by the latest of them. Of those that as many followed the nearest to the middle comes first, as in `rows`.
+    """
+    if len(rows) <= MOST_SUBMAPS:
+        return rows
+    stamps_ns = _stamps_ns(uow, tenant, frame, rows)
+    by_then = np.ones(len(rows), dtype=bool) if as_of_ns is None else stamps_ns <= as_of_ns
+    rows, stamps_ns = rows[by_then], stamps_ns[by_then]
+    times = [in_time(*one) for one in zip(frame.sessions[rows].tolist(), stamps_ns.tolist(), strict=True)]
+    followed, seen = np.zeros(len(rows), np.int64), Counter[tuple[int, ...]]()
+    places = np.floor(frame.positions[rows, :2] / edge_m).astype(np.int64).tolist()
+    for number in sorted(range(len(rows)), key=lambda one: (times[one], one), reverse=True):
+        place = tuple(places[number])
+        followed[number] = seen[place]
+        seen[place] += 1
+    return np.asarray(rows[np.argsort(followed, kind="stable")])
+
+
+def _stamps_ns(uow: UnitOfWork, tenant: TenantId, frame: PlacedFrame, rows: NDArray[np.int64]) -> NDArray[np.int64]:
+    """When submaps were taken (n,); 0 of those that are gone."""
+    numbers = frame.numbers[rows].tolist()
+    known = submaps_numbered(uow, tenant, numbers)
+    return np.array([known[one].stamp_ns if one in known else 0 for one in numbers], dtype=np.int64)
 
 
 def planned(
     uow: UnitOfWork, tenant: TenantId, frame: PlacedFrame, rows: NDArray[np.int64], as_of_ns: int | None
 ) -> tuple[PlannedMap, ...]:
     """The first MOST_SUBMAPS of some submaps of a frame that were taken by then, in the order of their drives."""
-    if as_of_ns is None:
-        rows = rows[:MOST_SUBMAPS]
+    if as_of_ns is not None:
+        rows = rows[_stamps_ns(uow, tenant, frame, rows) <= as_of_ns]
+    rows = np.sort(rows[:MOST_SUBMAPS])
     known = submaps_numbered(uow, tenant, frame.numbers[rows].tolist())
-    of_time = [
-        row for row in rows.tolist() if as_of_ns is None or _stamp_ns(known, int(frame.numbers[row])) <= as_of_ns
-    ]
-    found = ((known.get(int(frame.numbers[row])), row) for row in sorted(of_time[:MOST_SUBMAPS]))
+    found = ((known.get(int(frame.numbers[row])), row) for row in rows.tolist())
     return tuple(
         PlannedMap(
             one.neural_map_sha256, tuple(frame.T_map_submap[row].ravel().tolist()), one.session_number, one.stamp_ns
@@ -173,10 +236,6 @@ def planned(
         for one, row in found
         if one is not None and one.neural_map_sha256 is not None
     )
-
-
-def _stamp_ns(known: Mapping[int, SubmapRecord], number: int) -> int:
-    return known[number].stamp_ns if number in known else 0
 
 
 def _joined(frame: str, rows: Sequence[SessionPosesRecord]) -> PlacedFrame:

@@ -10,6 +10,7 @@ from typer.testing import CliRunner
 
 from revisit.cli.app import app
 from revisit.sdk.errors import InvalidArgument, NotFound
+from revisit.service.features.tiles import rows as tile_rows
 from tests.support.service_world import cloud_points, pose
 
 DAY_NS = 86_400 * 10**9
@@ -99,6 +100,9 @@ def test_the_command_line_lists_changes_and_asks_for_a_moment(service, client, d
     listed = CliRunner().invoke(app, ["map", "changes", *of_map, "--json"])
     assert listed.exit_code == 0, listed.output
     assert [one["kind"] for one in json.loads(listed.stdout)] == ["VANISHED"] * len(client.map_changes(driven_twice))
+    of_day = ["--since", "2024-10-05", "--until", "2024-10-05"]
+    listed_of_day = CliRunner().invoke(app, ["map", "changes", *of_map, *of_day, "--json"])
+    assert json.loads(listed_of_day.stdout) == json.loads(listed.stdout)
     none = CliRunner().invoke(app, ["map", "changes", *of_map, "--until", "2024-10-04", "--json"])
     assert json.loads(none.stdout) == []
     tile_id, out = client.map_tiles(driven_twice)[0].name.rpartition("/")[2], tmp_path / "then.ply"
@@ -106,3 +110,49 @@ def test_the_command_line_lists_changes_and_asks_for_a_moment(service, client, d
     assert CliRunner().invoke(app, asked).exit_code == 0 and out.exists()
     assert CliRunner().invoke(app, [*asked[:-4], "--as-of", "yesterday", *of_map]).exit_code == 1
     assert CliRunner().invoke(app, ["map", "changes", *of_map, "--geojson", str(tmp_path / "c.json")]).exit_code == 1
+
+
+def test_surfaces_of_moments_between_which_nothing_was_seen_are_one(client, service, driven_twice):
+    tile = next(one for one in client.map_tiles(driven_twice) if one.name.endswith(".0.0"))
+    now = client.download_tile(tile, "mesh")
+    before = service.world.tiler.made
+    assert client.download_tile(tile, "mesh", as_of_ns=TUESDAY + DAY_NS) == now
+    assert client.map_points(driven_twice, (13.0, 13.0, 0.0), 5.0, as_of_ns=2**63 - 1).total > 0
+    assert service.world.tiler.made == before
+    for then in (MONDAY + 1000, MONDAY + 2000, TUESDAY - 1):
+        client.download_tile(tile, "mesh", as_of_ns=then)
+    assert service.world.tiler.made == before + 1
+
+
+def test_of_more_drives_than_a_tile_is_made_of_the_latest_count(client, service, monkeypatch):
+    monkeypatch.setattr(tile_rows, "MOST_SUBMAPS", 3)
+    made = client.create_map(f"years-{next(_numbers)}", leave_distance_m=0)
+    for number, places in enumerate(((5, 25, 45), (5, 25, 45), (5, 45))):
+        session, day_ns = client.create_session(made, f"day-{number}"), MONDAY + number * DAY_NS
+        for place in places:
+            client.wait(client.post_submap(session, f"at-{place}", cloud_points(place), pose(place), day_ns + place))
+    version = client.wait(client.optimise_map(made)).result["version"]
+    tile, drives = (
+        next(one for one in client.map_tiles(version) if one.name.endswith(".0.0")),
+        service.world.tiler.drives,
+    )
+    client.download_tile(tile, "mesh")
+    latest = max(drives[-1])
+    assert (
+        len(drives[-1]) == 2
+    )  # both places of the last drive, and the one where it did not come by, of the day before
+    client.download_tile(tile, "mesh", as_of_ns=MONDAY + 2 * DAY_NS)
+    assert latest not in drives[-1] and len(drives[-1]) == 1
+    client.download_tile(tile, "mesh", ever=True)
+
+
+def test_changes_of_clocks_that_stand_still_are_listed(client):
+    made = client.create_map(f"years-{next(_numbers)}", leave_distance_m=0)
+    for session_id in ("monday", "tuesday"):
+        session = client.create_session(made, session_id)
+        for place in (5, 25, 45, 65):
+            client.wait(client.post_submap(session, f"at-{place}", cloud_points(place), pose(place), 0))
+    version = client.wait(client.optimise_map(made)).result["version"]
+    found = client.map_changes(version)
+    assert found and {one.stamp_ns for one in found} == {0}
+    assert client.map_changes(version, after_ns=1) == []
