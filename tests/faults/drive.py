@@ -2,8 +2,9 @@
 
 Three sessions are opened, submaps posted (two of one place, one that cannot be described), scans appended, one submap
 and one session deleted, another session finished, and the jobs run. The map is optimised twice, its rejected loops are
-tested again, and its first version brought back; a second map is merged into it, and taken out again. Doing it again
-after a crash must end where an undisturbed run does: every step carries the client's own ids.
+tested again, a tile made, its drives compared, and its first version brought back; a second map is merged into it,
+and taken out again. Doing it again after a crash must end where an undisturbed run does: every step carries the
+client's own ids.
 """
 
 from __future__ import annotations
@@ -12,9 +13,10 @@ import asyncio
 import contextlib
 import hashlib
 import sys
-from collections.abc import Awaitable
+from collections.abc import Awaitable, Coroutine
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from revisit.core.index import FaissIndex
 from revisit.service.domain.errors import NotFound, SessionFinished
@@ -115,11 +117,17 @@ async def _publish_and_look(world: World) -> None:
     await world.use_cases.map_files.publish(TENANT, POSTED.map_id, 1)
     world.work_off()
     tiles = await world.use_cases.map_tiles.list(TENANT, POSTED.map_id, 1, PageRequest())
-    looking = asyncio.create_task(world.use_cases.map_tiles.download(TENANT, tiles.items[0].key, DownloadKind.MESH))
-    while not looking.done():
+    await _worked_off(world, world.use_cases.map_tiles.download(TENANT, tiles.items[0].key, DownloadKind.MESH))
+    await _worked_off(world, world.use_cases.map_changes.list(TENANT, POSTED.map_id, 1, PageRequest()))
+
+
+async def _worked_off(world: World, question: Coroutine[Any, Any, object]) -> None:
+    """Ask what waits for a worker."""
+    asked = asyncio.create_task(question)
+    while not asked.done():
         world.work_off()
         await asyncio.sleep(0.001)
-    await looking
+    await asked
 
 
 async def _save_index(world: World) -> None:
