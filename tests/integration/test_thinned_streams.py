@@ -142,6 +142,18 @@ async def test_a_robot_that_stands_with_trembling_poses_makes_no_submap():
     assert [its for _, its in full] == [its for _, its in thin]
 
 
+@pytest.mark.parametrize("share", [0.0, 0.001, 0.8, 1.0, 2.0])
+async def test_a_robot_that_counts_less_than_the_straight_way_is_not_believed(share):
+    """It counts in kilometres, or by wheels that are too small: the straight way counts. More may be a winding one."""
+    world, points = memory_world(), hall()[:RETURNS].astype(np.float32)
+    await open_session(world, FULL)
+    for row in range(80):
+        taken = points, se3.from_yaw(0.0, (0.15 * row, 0.0, 0.0))
+        await world.use_cases.scans.append(TENANT, command(FULL, row + 1, row, taken, share * 0.15 * row))
+    session = world.context.transactions.read(lambda uow: uow.sessions.get(TENANT, "town", "full")).result()
+    assert session.travelled_m == pytest.approx(max(share, 1.0) * 0.15 * 79, abs=0.25)
+
+
 @pytest.mark.parametrize("step_m", [0.15, 0.06])
 async def test_a_gateway_that_begins_anew_goes_on_choosing(tmp_path, step_m):
     world, scans = sqlite_world(tmp_path), drive(60, step_m)

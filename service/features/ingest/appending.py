@@ -116,23 +116,27 @@ class CloudWanted(Exception):
 
 @dataclass(frozen=True)
 class _Standing:
-    """Where a session stands: its row, its way, its last scan, and the last one that was chosen, if it has one."""
+    """Where a session stands: its row, its way, its last scan, and the last one that was chosen, if it has one.
+
+    The way that its robot counts was shorter than the straight one by `short_m` metres together.
+    """
 
     session: SessionRecord
     way: Way | None
     last: ScanRecord | None
     chosen: ChosenScan | None
+    short_m: float = 0.0
 
     def followed(self, accepted: AcceptedScan, config: SubmapConfig) -> tuple[_Standing, ScanRecord]:
         """The session with one scan more, and the row of that. Raises BadField, StreamFenced, NotFound."""
         session = self.session if accepted.stream is None else accepted.stream.entered(self.session)
         marks = ScanMarks.of(config)
-        way = _way(self, accepted, marks)
+        way, short_m = _way(self, accepted, marks)
         pose, returns = accepted.scan.T_odom_sensor, len(accepted.scan.points)
         chosen = marks.choose(self.chosen, way.travelled_m, pose, returns)
         row = _row(session, accepted, way.travelled_m, chosen=chosen is not None)
         moved = replace(session, committed_seq=accepted.seq, travelled_m=way.travelled_m)
-        return _Standing(moved, way, row, chosen or self.chosen), row
+        return _Standing(moved, way, row, chosen or self.chosen, short_m), row
 
 
 @dataclass(frozen=True)
@@ -394,21 +398,25 @@ def taken(session: SessionRecord, seq: int) -> AlreadyExists:
     )
 
 
-def _way(standing: _Standing, accepted: AcceptedScan, marks: ScanMarks) -> Way:
-    """The way of a session with its next scan. Raises BadField where time went backwards.
+def _way(standing: _Standing, accepted: AcceptedScan, marks: ScanMarks) -> tuple[Way, float]:
+    """The way of a session with its next scan, and its `short_m` then. Raises BadField where time went backwards.
 
     The robot's count is taken where it is possible; else, as where it began to count anew, the straight way. Both may
-    wait with a step of their own.
+    wait with a step of their own: by so much the count may be shorter, over all scans together.
     """
     last, scan = standing.last, accepted.scan
     if last is not None and scan.stamp_ns < last.stamp_ns:
         raise BadField(f"stamp_ns lies before that of the last stored scan, {last.stamp_ns}", field="stamp_ns")
     counted, told_m = marks.way_to(scan.T_odom_sensor, standing.way), accepted.travelled_m
-    if told_m is None or told_m < counted.travelled_m - 2.0 * marks.least_step_m - ROUNDED_M:
-        return counted
-    if standing.way is not None and told_m <= standing.way.travelled_m:
-        return standing.way
-    return Way(told_m, scan.T_odom_sensor)
+    if told_m is None:
+        return counted, standing.short_m
+    lacking_m, most_m = counted.travelled_m - told_m, 2.0 * marks.least_step_m + ROUNDED_M
+    if standing.way is not None and lacking_m <= most_m and told_m <= standing.way.travelled_m:
+        return standing.way, standing.short_m
+    short_m = standing.short_m + lacking_m
+    if short_m > most_m:
+        return counted, standing.short_m
+    return Way(told_m, scan.T_odom_sensor), max(0.0, short_m)
 
 
 def _chosen_of(newest: Sequence[ScanRecord]) -> ChosenScan | None:
