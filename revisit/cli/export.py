@@ -171,6 +171,8 @@ def _write_file(file_format: str, out: Path, asked: Asked) -> dict[str, Any]:
         raise refuse(f"map {chosen[0]} does not lie on earth: no anchors hold its version in force")
     if earth is not None and not epsg and file_format != "geojson":
         placed = placed_on(earth, placed)
+    if earth is not None and epsg:  # before a cloud is made, which takes long
+        earth.projected(placed[0].T_map_submap[None, :3, 3], epsg)
     out.parent.mkdir(parents=True, exist_ok=True)
     with progress_bar(quiet=False) as bar:
         more: dict[str, Writer] = {

@@ -21,7 +21,10 @@ def http_address(given: str | None = None) -> str:
     """
     address = given or _variable("REVISIT_HTTP") or HERE
     if "//" not in address:
-        address = f"http://{address}" if ":" in address else f"http://{address}:{HTTP_PORT}"
+        address = f"http://{address}"
+        if _parts(address)[1] is None:
+            sides = urlsplit(address)
+            address = f"http://{sides.netloc}:{HTTP_PORT}{sides.path}"
     _parts(address)
     return address
 

@@ -46,13 +46,14 @@ class OnEarth:
         latitude, longitude, altitude = geodesy.geodetic(T_ecef[None, :3, 3])[0].tolist()
         T_enu = se3.inverse(geodesy.T_ecef_enu((latitude, longitude, altitude))) @ T_ecef
         heading_deg = math.degrees(math.atan2(T_enu[0, 0], T_enu[1, 0])) % 360.0
-        return GeodeticPose(latitude, longitude, altitude, heading_deg)
+        # A heading that is less than north by a rounding is 360.0 by then.
+        return GeodeticPose(latitude, longitude, altitude, heading_deg % 360.0)
 
     def projected(self, points: NDArray[np.float64], epsg: int) -> NDArray[np.float64]:
         """Points (n, 3) of the map, metres, in a projected reference system: east, north, metres above the ellipsoid.
 
-        Needs the package `pyproj` (extra `crs`). Raises BadField where there is no such system, or it does not reach
-        so far.
+        Needs the package `pyproj` (extra `crs`). Raises BadField where there is no such system of east and north, or
+        it does not reach so far.
         """
         from pyproj import CRS, Transformer
         from pyproj.exceptions import CRSError
@@ -63,6 +64,12 @@ class OnEarth:
             raise BadField(f"there is no reference system EPSG:{epsg}", field="epsg") from error
         if not system.is_projected or {axis.unit_name for axis in system.axis_info} != {"metre"}:
             raise BadField(f"EPSG:{epsg} ({system.name}) is no projected system in metres", field="epsg")
+        if system.is_compound:
+            plain = system.sub_crs_list[0].to_epsg()
+            message = f"EPSG:{epsg} ({system.name}) has heights of its own, and a map has those above the ellipsoid"
+            raise BadField(f"{message}: give EPSG:{plain}" if plain else message, field="epsg")
+        if "west" in {axis.direction for axis in system.axis_info}:
+            raise BadField(f"EPSG:{epsg} ({system.name}) counts to the west and the south", field="epsg")
         latitude, longitude, altitude = geodesy.geodetic_of_enu(self.origin, se3.apply(self.T_enu_map, points)).T
         east, north = Transformer.from_crs("EPSG:4326", system, always_xy=True).transform(longitude, latitude)
         found = np.column_stack([east, north, altitude])

@@ -52,10 +52,24 @@ def test_a_pose_of_the_map_has_a_place_and_a_heading_on_earth(latitude_deg):
     assert geodesy.enu((latitude_deg, 11.5, 520.0), where)[0] == pytest.approx([300.0, -120.0, 4.0], abs=1e-3)
 
 
+def test_north_is_0_degrees_also_where_numbers_round():
+    earth = OnEarth((48.1, 11.5, 520.0), np.eye(4))
+    for tenths_of_pi in np.linspace(-1e-16, 1e-16, 9):
+        heading_deg = earth.pose(se3.from_yaw(np.pi / 2 + tenths_of_pi, (0.0, 0.0, 0.0))).heading_deg
+        assert 0.0 <= heading_deg < 360.0
+
+
 @pytest.mark.parametrize(
-    ("epsg", "words"), [(1, "no reference system"), (4326, "no projected"), (2263, "no projected")]
+    ("epsg", "words"),
+    [
+        (1, "no reference system"),
+        (4326, "no projected"),
+        (2263, "no projected"),
+        (5972, "heights of its own, .*give EPSG:25832"),
+        (2049, "to the west and the south"),
+    ],
 )
-def test_what_is_no_projected_system_in_metres_is_refused(epsg, words):
+def test_what_is_no_projected_system_of_east_and_north_in_metres_is_refused(epsg, words):
     with pytest.raises(BadField, match=words):
         OnEarth((48.1, 11.5, 520.0), np.eye(4)).projected(np.zeros((1, 3)), epsg)
 
@@ -78,6 +92,7 @@ def test_a_cloud_is_exported_in_the_system_and_names_it(monkeypatch, tmp_path):
     stored = laspy.read(out)
     assert stored.header.parse_crs().to_epsg() == 25832
     assert np.abs(stored.xyz - earth.projected(points, 25832)).max() < 0.001
+    monkeypatch.setattr(map_files, "merged_cloud", lambda *_, ever: pytest.fail("hours of a large map"))
     refused = CliRunner().invoke(app, [*asked, "4326"])
     assert refused.exit_code == 1 and "no projected system" in refused.output
 

@@ -25,6 +25,8 @@ def nothing_set(monkeypatch):
     ("http://10.0.0.5:8080", "http://10.0.0.5:8080", "10.0.0.5:8090"),
     ("https://maps.example:8080", "https://maps.example:8080", "grpcs://maps.example:8090"),
     ("http://[::1]:8080", "http://[::1]:8080", "[::1]:8090"),
+    ("[::1]", "http://[::1]:8080", "[::1]:8090"),
+    ("hub/", "http://hub:8080/", "hub:8090"),
 ])  # fmt: skip
 def test_the_grpc_side_is_beside_the_http_side(given, http, grpc, monkeypatch):
     assert (http_address(given), grpc_address("", given)) == (http, grpc)
@@ -47,7 +49,9 @@ def test_options_go_before_variables(monkeypatch):
     assert grpc_address("lab:1", "") == "lab:1"
 
 
-@pytest.mark.parametrize("wrong", ["ftp://hub", "http://", "not a url", "http://hub:port", "::1", "http://hub:99999"])
+@pytest.mark.parametrize(
+    "wrong", ["ftp://hub", "http://", "hub:", "not a url", "http://hub:port", "::1", "http://hub:99999"]
+)
 def test_what_is_no_address_is_refused(wrong):
     with pytest.raises(BadField, match="is no address of a service"):
         http_address(wrong)
