@@ -137,12 +137,16 @@ def has_place(recording: Recording, submap: Submap) -> bool:
 
 
 def _is_as_long(session: Session, recording: Recording, last: int, marks: ScanMarks) -> bool:
-    """Whether the path up to the scan `last` is the session's; at most as long where scans were left out."""
-    way = way_along((recording.pose(index) for index in range(last + 1)), marks)
-    length_m = 0.0 if way is None else way.travelled_m
-    tolerance_m = SAME_POSE + SAME_LENGTH_SHARE * length_m
-    shorter_m = length_m - session.travelled_m
-    return shorter_m > -tolerance_m if last >= session.committed_seq else abs(shorter_m) < tolerance_m
+    """Whether the path up to the scan `last` is the session's; at most as long where scans were left out.
+
+    Services and robots of before counted every pose, so that its length lies between the two.
+    """
+    poses = [recording.pose(index) for index in range(last + 1)]
+    ways = [way_along(poses, of) for of in (marks, replace(marks, least_step_m=0.0))]
+    least_m, most_m = (0.0 if way is None else way.travelled_m for way in ways)
+    tolerance_m = SAME_POSE + SAME_LENGTH_SHARE * most_m
+    long_enough = last >= session.committed_seq or session.travelled_m > least_m - tolerance_m
+    return long_enough and session.travelled_m < most_m + tolerance_m
 
 
 def _has_its_points(client: Client, cut: list[Submap], recording: Recording, last: int) -> bool:
