@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import Any, Self
 from urllib.parse import urljoin
 
+from revisit.sdk.addresses import http_address
 from revisit.sdk.resources import MapFile
 
 
@@ -26,8 +27,8 @@ class RobotMap:
 
     @classmethod
     def of(cls, file: MapFile, http: str) -> Self:
-        """That of a file of the service at the URL `http`, as robots reach it."""
-        link = urljoin(http, file.map_download_link)
+        """That of a file of the service at the address `http`, as robots reach it."""
+        link = urljoin(http_address(http), file.map_download_link)
         return cls(file.map_id, file.map_version, file.map_hash, link, file.map_descriptor)
 
     def state(self, *, enabled: bool = False) -> dict[str, Any]:

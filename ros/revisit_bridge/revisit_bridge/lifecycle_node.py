@@ -6,6 +6,7 @@ from typing import Any
 
 from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
 
+from revisit.core.errors import RevisitError
 from revisit_bridge.node import NAME, BridgeParts
 from revisit_bridge.node import main as run
 
@@ -21,7 +22,7 @@ class LifecycleBridgeNode(BridgeParts, LifecycleNode):
         """Make the bridge, which sends scans of an earlier run that wait."""
         try:
             self.configure()
-        except (ValueError, OSError) as error:
+        except (ValueError, OSError, RevisitError) as error:
             self.get_logger().error(f"cannot be configured: {error}")
             return TransitionCallbackReturn.FAILURE
         return TransitionCallbackReturn.SUCCESS

@@ -93,15 +93,15 @@ class BridgeParts:
         self._active: list[tuple[Any, Any]] = []
 
     def configure(self: Any) -> None:
-        """Raises ValueError where a parameter cannot be."""
+        """Raises ValueError where a parameter cannot be; RevisitError where a spool cannot be used."""
         values = {item.name: self.get_parameter(item.name).value for item in Parameters.declared()}
         self.parameters = Parameters.of(values)
+        self.bridge = self._bridge()
         self._tf = Buffer(cache_time=Duration(seconds=TF_HISTORY_S))
         self._listener = TransformListener(self._tf, self)
         self._broadcaster = TransformBroadcaster(self)
         self._correction: Correction | None = None
         self._corrected_session = ""
-        self.bridge = self._bridge()
         self.grids = MapGrids(ServiceMap(self._client, f"maps/{self.parameters.map_id}"), self.parameters.grid_m)
         self._publish()
         self.bridge.start()

@@ -17,6 +17,7 @@ from revisit_bridge.parameters import Parameters
 
 from revisit.core.geometry import se3
 from revisit.formats.occupancy_grid import GridOptions, grid_of
+from revisit.sdk.spool import Spool
 from tests.support.patience import eventually
 from tests.support.ros_messages import Messages
 from tests.unit.ros.test_bridge_output import loop, submap
@@ -317,3 +318,12 @@ def test_parameters_of_a_managed_node_are_set_before_it_is_configured(managed) -
     node.parameters_declared |= {"poll_s": 5.0, "map_id": "other"}
     assert node.on_configure(None) == "success"
     assert not node.set_parameters([map_id])[0]
+
+
+def test_a_managed_node_whose_spool_another_process_has_stays_unconfigured(managed, tmp_path) -> None:
+    _, node, _ = managed
+    spool = Spool(tmp_path / "yesterday.spool", "maps/default/sessions/yesterday")
+    assert node.on_configure(None) == "failure" and node.bridge is None
+    assert any("another process uses" in line for line in node.logged)
+    spool.close()
+    assert node.on_configure(None) == "success"

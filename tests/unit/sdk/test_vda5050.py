@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import pytest
+
 from revisit.cli.map_versions import vda5050
 from revisit.sdk.resources import MapFile, MapVersion, MapVersionSummary
 from revisit.sdk.vda5050 import RobotMap
@@ -22,6 +24,11 @@ def test_a_robot_is_told_where_to_download_a_map_and_by_which_hash_to_check_it()
         {"key": "mapDownloadLink", "value": "http://10.0.0.5:8080/v1/maps/town/files/7:download"},
         {"key": "mapHash", "value": "ab" * 32},
     ]
+
+
+@pytest.mark.parametrize("http", ["10.0.0.5", "10.0.0.5:8080", "http://10.0.0.5:8080/"])
+def test_the_link_has_the_address_of_the_service_however_that_is_written(http):
+    assert RobotMap.of(FILE, http).link == TOWN.link
 
 
 def test_a_map_is_enabled_and_deleted_by_its_id_and_version_alone():
