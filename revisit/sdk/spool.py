@@ -15,8 +15,9 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
+from typing import Any
 
 from revisit.core.errors import ErrorCode, RevisitError
 from revisit.core.scan_marks import ScanMarks, Way
@@ -272,7 +273,7 @@ class Spool:
         # SQLite would begin at 1 again once all scans were sent, and a connection that is open has seen those numbers.
         self._last_number = last_number
         (marks,) = self._db.execute("SELECT marks FROM stream").fetchone()
-        self._marks = ScanMarks(**json.loads(marks)) if marks else None
+        self._marks = _marks_of(json.loads(marks)) if marks else None
         known = self._stream()[0]
         if session in ("", known):
             return
@@ -316,6 +317,12 @@ class Spool:
             if self._db.in_transaction:
                 self._db.execute("ROLLBACK")
             raise
+
+
+def _marks_of(stored: dict[str, Any]) -> ScanMarks:
+    """The marks of a spool, also where another release has written it."""
+    known = {one.name for one in fields(ScanMarks)}
+    return ScanMarks(**{name: value for name, value in stored.items() if name in known})
 
 
 def _locked(path: Path) -> int:

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import json
 import sqlite3
 import stat
 import subprocess
 import sys
 import threading
+from contextlib import closing
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import pytest
@@ -231,6 +234,24 @@ def test_the_way_and_the_marks_are_there_after_the_spool_is_opened_again(path):
     other = Spool(path, MONDAY.replace("monday", "tuesday"))
     assert (other.marks, other.way) == (None, None)
     other.close()
+
+
+def test_marks_of_an_earlier_or_a_later_release_open_a_spool(path):
+    """A robot that goes back to the release before it must drive on."""
+    marks = ScanMarks(2.5, 5, 300_000, 0.5, 0.025)
+    Spool(path, MONDAY).close()
+    for told, read in ((asdict(marks) | {"newer": 1}, marks), (asdict(marks), marks)):
+        with closing(sqlite3.connect(path)) as database, database:
+            database.execute("UPDATE stream SET marks = ?", (json.dumps(told),))
+        spool = Spool(path, MONDAY)
+        assert spool.marks == read
+        spool.close()
+    earlier = {name: value for name, value in asdict(marks).items() if name != "least_step_m"}
+    with closing(sqlite3.connect(path)) as database, database:
+        database.execute("UPDATE stream SET marks = ?", (json.dumps(earlier),))
+    spool = Spool(path, MONDAY)
+    assert spool.marks == replace(marks, least_step_m=0.0)
+    spool.close()
 
 
 def test_a_spool_of_the_first_format_is_read_and_its_scans_know_no_way(path):
