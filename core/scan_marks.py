@@ -1,10 +1,10 @@
 """The scans of a drive that are described: those at marks of travelled distance, and those that look elsewhere.
 
 A mark is a multiple of a spacing, counted from the beginning of the session in metres travelled by *all* poses. The way
-is counted in steps of at least a hundredth of a submap: a robot that stands travels nowhere, though its poses tremble.
-Of the scans nearest to a mark the first is chosen, so that none has to wait for the next. The rule looks at nothing but
-the scans that it has chosen before: a stream that leaves out the others gives the same scans as one that has them all,
-wherever the choice is made.
+is counted in steps of a hundredth of a submap, or half a metre: a robot that stands travels nowhere, though its poses
+tremble. Of the scans nearest to a mark the first is chosen, so that none has to wait for the next. The rule looks at
+nothing but the scans that it has chosen before: a stream that leaves out the others gives the same scans as one that
+has them all, wherever the choice is made.
 """
 
 from __future__ import annotations
@@ -21,6 +21,9 @@ from revisit.core.geometry.se3 import Matrix4
 
 STEPS_PER_TAU = 100
 """A submap is at least so many steps of the way long; a pose nearer to the last step than that is no new one."""
+
+LONGEST_STEP_M = 0.5
+"""The way of a robot that goes round in a hall is a way in long submaps, too."""
 
 ROUNDED_M = 1e-6
 """A step that is shorter by less is no shorter: robots drive ten centimetres a scan, in numbers that round."""
@@ -66,7 +69,7 @@ class ScanMarks:
     def of(cls, config: SubmapConfig) -> ScanMarks:
         """The marks of a map."""
         turn_rad = math.radians(config.turn_between_scans)
-        least_step_m = config.tau / STEPS_PER_TAU
+        least_step_m = min(config.tau / STEPS_PER_TAU, LONGEST_STEP_M)
         return cls(config.tau, config.least_scans_per_tau, config.enough_returns, turn_rad, least_step_m)
 
     def way_to(self, T_odom_sensor: Matrix4, way: Way | None) -> Way:

@@ -98,6 +98,15 @@ def test_the_way_is_as_long_as_the_drive_whatever_the_speed(step):
     assert way_along(poses, MARKS).travelled_m == pytest.approx((len(poses) - 1) * step, abs=MARKS.least_step_m)
 
 
+@pytest.mark.parametrize("tau", [0.5, 10.0, 200.0, 1000.0])
+def test_the_rounds_in_a_hall_are_a_way_however_long_a_submap_is(tau):
+    """Ten rounds of 2 m around the middle: 126 m."""
+    marks = ScanMarks.of(SubmapConfig(tau=tau, stride=tau / 2))
+    around = [(2.0 * math.cos(angle), 2.0 * math.sin(angle), 0.0) for angle in np.arange(0.0, 20.0 * math.pi, 0.05)]
+    way = way_along((se3.from_yaw(0.0, where) for where in around), marks)
+    assert way.travelled_m == pytest.approx(20.0 * math.pi * 2.0, rel=0.02)
+
+
 def test_a_jump_of_the_odometry_is_a_new_mark():
     poses = [se3.from_yaw(0.0, (x, 0, 0)) for x in (0.0, 9e7, 9e7 + 0.1)]
     assert marked_rows(((pose, 118_000) for pose in poses), MARKS) == [0, 1]

@@ -322,7 +322,8 @@ def test_parameters_of_a_managed_node_are_set_before_it_is_configured(managed) -
 
 def test_a_managed_node_whose_spool_another_process_has_stays_unconfigured(managed, tmp_path) -> None:
     _, node, _ = managed
-    spool = Spool(tmp_path / "yesterday.spool", "maps/default/sessions/yesterday")
+    Spool(tmp_path / "friday.spool", "maps/default/sessions/friday").close()
+    spool = Spool(tmp_path / "monday.spool", "maps/default/sessions/monday")
     assert node.on_configure(None) == "failure" and node.bridge is None
     assert any("another process uses" in line for line in node.logged)
     spool.close()
