@@ -133,8 +133,8 @@ async def test_all_scans_are_kept_where_the_map_keeps_all_or_for_a_while(tmp_pat
 
 
 async def test_a_robot_that_stands_with_trembling_poses_makes_no_submap():
-    """Two minutes: what trembled added up to 27 m."""
-    world, scans = memory_world(), drive(80, stands_at=40, stands=1_200)
+    """Fifty seconds: what trembled added up to 11 m."""
+    world, scans = memory_world(), drive(80, stands_at=40, stands=500)
     sent = await stream_both(world, scans)
     full, thin = sources(world, FULL), sources(world, THIN)
     assert 20 <= sent <= 30
