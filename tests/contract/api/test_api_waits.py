@@ -39,9 +39,11 @@ TOWN = f"maps/{SESSION.map_id}"
 WATCH = event_pb2.WatchEventsRequest(parent=TOWN)
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture
 def crowded():
-    """A service with few slots and no worker; each tenant has an operation that does not end."""
+    """A service with few slots and no worker; each tenant has an operation that does not end. Slots that another test
+    has left may still be taken for a while.
+    """
     world = memory_world()
     with live_service(world, SMALL) as running:
         running.working.clear()
@@ -51,7 +53,7 @@ def crowded():
         yield running
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture
 def keys(crowded):
     """Two keys of each tenant."""
     return {tenant: [a_key(crowded.world, tenant).text for _ in range(2)] for tenant in (*GREEDY, "modest")}
@@ -148,7 +150,8 @@ def may_wait(crowded, transport, tenant, key):
     """Whether a wait of the key is let in."""
     try:
         with client_of(crowded, transport, key) as client:
-            client.wait(operation_of(crowded, tenant), timeout_s=0.05)
+            # So long that a refusal is heard on a busy machine: a wait that nobody has answered is no wait yet.
+            client.wait(operation_of(crowded, tenant), timeout_s=1.0)
     except TimeoutError:
         return True
     except ResourceExhausted:
