@@ -72,6 +72,10 @@ QUERIES = (
 )  # fmt: skip
 """The kinds of jobs for which a client waits."""
 
+_LAST = (OperationKind.FIND_CHANGES,)
+"""Kinds of jobs that take long and are asked for again: what robots send goes before them, however many versions
+somebody asks about."""
+
 
 def same_job(
     uow: UnitOfWork,
@@ -102,8 +106,8 @@ class JobPosting:
         return self.enqueue(uow, self.made(tenant, kind, subject, payload))
 
     def made(self, tenant: TenantId, kind: OperationKind, subject: str, payload: dict[str, Any]) -> JobRecord:
-        """A job that is not queued yet. Those for which a client waits go before others."""
-        priority = 0 if kind in QUERIES else 1
+        """A job that is not queued yet. Those for which a client waits go before others, some after."""
+        priority = 0 if kind in QUERIES else 2 if kind in _LAST else 1
         return queued_job(tenant, kind, subject, payload, self._policy, self._clock.wall_ns(), priority)
 
     def enqueue(self, uow: UnitOfWork, job: JobRecord) -> JobRecord:

@@ -440,7 +440,7 @@ class JobRecord:
     """A leased job, which clients see as an operation.
 
     Of a tenant's jobs those of `priority` 0, for which a client waits, go before those of 1, and these before those of
-    2, for which nobody does. `lease_id` is drawn at random for each claim: only the holder of the newest may complete
+    2, which may wait. `lease_id` is drawn at random for each claim: only the holder of the newest may complete
     the job (fencing). Lease times are of the store's clock; `claimed_ms` is when the last run began. `forgiven` of the
     `attempts` ended for a reason that was none of the job's (docs/decisions/0082). `progress` is JSON (stage, done,
     total, and what a merge goes on with in its next run), and `cancel_requested` says that somebody wants it to end.
