@@ -135,7 +135,7 @@ class Grounding:
                 zip(self.loops, Edges.of_loops(list(self.loops.values()), self.rows).squared_errors(poses), strict=True)
             ),
             float(_heard(terms, kept).squared_errors(poses).sum() - self.edges.squared_errors(self.before).sum()),
-            3 * len(agreeing) - 4,
+            3 * len(agreeing) + sum(one.heading is not None for one in itertools.compress(self.anchors, kept)) - 4,
             georeference,
         )
 

@@ -105,6 +105,15 @@ def test_a_known_start_places_a_map_and_leaves_its_form() -> None:
     assert [one.state for one in answer.anchors] == [AnchorState.IN_MAP]
     assert all(np.allclose(plain.T_map_submap[name], it, atol=1e-4) for name, it in answer.T_map_submap.items())
     assert np.allclose(answer.georeferences[0].T_world_map @ answer.T_map_submap[session][0], poses[0], atol=1e-4)
+    assert answer.degrees_of_freedom == plain.degrees_of_freedom, "place and heading: as much as the map was free to"
+
+
+def test_a_drive_without_loops_that_begins_at_a_known_pose_has_no_degrees_of_freedom() -> None:
+    made = straight(2)
+    heading = Heading(np.array([1.0, 0.0, 0.0]), 0.4, np.radians(0.5))
+    start = Anchor("start", Node("s0", 0), np.zeros(3), np.zeros(3), 0.01 * np.eye(3), heading)
+    answer = optimise(made.graph, anchors=[start])
+    assert [one.state for one in answer.anchors] == [AnchorState.IN_MAP] and answer.degrees_of_freedom == 0
 
 
 def test_the_first_pose_stays_and_the_covariance_of_the_georeference_covers_its_error() -> None:
