@@ -60,7 +60,9 @@ def _summary_fields(summary: Mapping[str, Any]) -> Fields:
     frames = [{**one, "t_enu_map": transform_fields(one["T_enu_map"])} for one in summary.get(GEOREFERENCES, ())]
     for frame in frames:
         del frame["T_enu_map"]
-    return {**summary, GEOREFERENCES: frames}
+    # Of a map that a known pose alone held, -1 was stored once.
+    degrees = max(0, summary["degrees_of_freedom"])
+    return {**summary, "degrees_of_freedom": degrees, GEOREFERENCES: frames}
 
 
 def submap_pose_fields(view: SubmapPoseView) -> Fields:

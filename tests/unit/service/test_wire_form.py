@@ -215,3 +215,10 @@ def test_openapi_requires_what_is_always_there_and_describes_it_with_the_comment
     assert submap["properties"]["seq"]["type"] == "string"
     assert submap["properties"]["state"]["enum"] == ["QUEUED", "DESCRIBED", "FAILED", "RETIRED"]
     assert submap["properties"]["ordinal"]["description"] == "Counts the submaps of its session from 0."
+
+
+def test_a_version_that_was_stored_with_less_than_no_degrees_of_freedom_is_read():
+    """A map of one drive that a known pose held had -1."""
+    view = MapVersionView("town", 4, True, None, "hash", "op-1", SUMMARY | {"degrees_of_freedom": -1}, LARGE, 1)
+    read = ParseDict(json_form(mapping_pb2.MapVersion, mapping.version_fields(view)), mapping_pb2.MapVersion())
+    assert read.summary.degrees_of_freedom == 0
