@@ -167,6 +167,10 @@ class SubmapConfig(Section):
         if self.min_range >= self.max_range:
             self.refuse("min_range", f"must be less than max_range, {self.max_range:g}")
 
+    def surface_reach_m(self, scene_scale: float) -> float:
+        """How far from a submap its surface may lie, metres; farther parts are in no tile."""
+        return self.max_range * min(1.0, scene_scale) + 0.5 * self.tau
+
 
 @dataclass(frozen=True)
 class ImplicitMapConfig(Section):

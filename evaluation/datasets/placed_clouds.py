@@ -11,11 +11,12 @@ from numpy.typing import NDArray
 
 from revisit.core.geometry import se3
 from revisit.core.geometry.deskew import SweepMotion, deskewed, knots
-from revisit.core.scan import Intensity, Points
+from revisit.core.scan import Points
 from revisit.evaluation.datasets.bag_message import Bag, Encoding, Place
 from revisit.evaluation.datasets.pairing import Pairing
 from revisit.evaluation.datasets.posed_clouds import Stamps
 from revisit.evaluation.datasets.ros_messages import read_coordinates, read_intensity, read_points, read_sweep
+from revisit.formats import DecodedCloud
 
 _DESKEWED = re.compile(r"deskew|undistort|compensat|registered|corrected", re.IGNORECASE)
 """Clouds on topics that are called so were deskewed by their publisher."""
@@ -36,10 +37,20 @@ class BagCloud:
     T_scan_cloud: se3.Matrix4 | None = None
     motion: Pairing | None = None
 
-    def points(self, bag: Bag) -> Points:
-        """The points (n, 3) in the frame of the scan. Raises MalformedBody, BadField, TooLarge."""
+    def read(self, bag: Bag) -> DecodedCloud:
+        """The points in the frame of the scan, with their intensity where the cloud tells it.
+
+        Raises MalformedBody, BadField, TooLarge.
+        """
         message = bag.data(self.place)
-        sweep = None if self.motion is None else self.sweep(bag)
+        return DecodedCloud(self._points(message), read_intensity(message, self.message_type, self.encoding))
+
+    def sweep(self, bag: Bag) -> NDArray[np.float64] | None:
+        """The deskewed points (n, 3), in the sensor's frame at the stamp; None where points have no times."""
+        return self._sweep(bag.data(self.place))
+
+    def _points(self, message: bytes) -> Points:
+        sweep = self._sweep(message)
         if sweep is None and self.T_scan_cloud is None:
             return read_points(message, self.message_type, self.encoding)
         # In UTM coordinates float32 has steps of 0.5 m: the points are rounded only once they are the sensor's.
@@ -48,13 +59,8 @@ class BagCloud:
             moved = coordinates if self.T_scan_cloud is None else se3.apply(self.T_scan_cloud, coordinates)
             return moved.astype(np.float32)
 
-    def intensity(self, bag: Bag) -> Intensity | None:
-        """The intensity (n,) of these points; None where the cloud does not tell it."""
-        return read_intensity(bag.data(self.place), self.message_type, self.encoding)
-
-    def sweep(self, bag: Bag) -> NDArray[np.float64] | None:
-        """The deskewed points (n, 3), in the sensor's frame at the stamp; None where points have no times."""
-        told = read_sweep(bag.data(self.place), self.message_type, self.encoding)
+    def _sweep(self, message: bytes) -> NDArray[np.float64] | None:
+        told = None if self.motion is None else read_sweep(message, self.message_type, self.encoding)
         if told is None or self.motion is None:
             return None
         motion = _motion(self.motion, self.stamp_ns, knots(told.offsets_ns))

@@ -59,11 +59,10 @@ class BagRecording:
 
     def scan(self, index: int) -> Scan:
         """The scan with that index. Raises MalformedBody for a damaged message and as `Scan.validated` does."""
-        parts = [cloud.points(self.bag) for cloud in self.clouds[index]]
-        points = parts[0] if len(parts) == 1 else np.concatenate(parts)
-        told = [cloud.intensity(self.bag) for cloud in self.clouds[index]]
-        known = [part for part in told if part is not None]
-        intensity = np.concatenate(known) if len(known) == len(told) else None
+        parts = [cloud.read(self.bag) for cloud in self.clouds[index]]
+        points = parts[0].points if len(parts) == 1 else np.concatenate([part.points for part in parts])
+        known = [part.intensity for part in parts if part.intensity is not None]
+        intensity = np.concatenate(known) if len(known) == len(parts) else None
         return Scan.validated(points, self.pose(index), int(self.stamps_ns[index]), intensity)
 
     def __iter__(self) -> Iterator[Scan]:

@@ -58,9 +58,9 @@ class Surfaces:
         stands: list[NDArray[np.bool_] | None] = [None] * len(self._of)
         if len({one.session for one in self._of}) < 2:
             return stands
-        first, submaps = self.neural_map(0), PipelineConfig().submap
+        first = self.neural_map(0)
         grid = TileGrid.of(first.config.resolution, first.frame.scale)
-        reach_m = submaps.max_range * min(1.0, first.frame.scale) + 0.5 * submaps.tau
+        reach_m = PipelineConfig().submap.surface_reach_m(first.frame.scale)
         positions = np.stack([one.T_map_submap[:3, 3] for one in self._of])
         for cell, rows in grid.reached(positions, reach_m).items():
             if len({self._of[row].session for row in rows.tolist()}) > 1:

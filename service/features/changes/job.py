@@ -84,7 +84,7 @@ class ChangeFinding:
         """What drives found changed in a square."""
         frame = tiling.frame(key.frame)
         rows = tiling.reaching(key)
-        plan = partial(planned, tenant=tenant, frame=frame, rows=rows, as_of_ns=None)
+        plan = partial(planned, tenant=tenant, frame=frame, rows=rows)
         placed = [one.placed() for one in self._context.transactions.read(plan).result()]
         read = partial(self._context.blobs.get, tenant, NEURAL_MAP_BLOB)
         found = self._maker.changes(placed, tiling.grid.centre(key.cell), read)

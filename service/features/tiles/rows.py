@@ -18,7 +18,7 @@ from revisit.service.domain.policy import Policy
 from revisit.service.domain.records import SessionPosesRecord, SubmapRecord
 from revisit.service.features.graph.session_poses import PackedSubmaps
 from revisit.service.ports.map_merger import PlacedSubmapMap
-from revisit.service.ports.map_tiles import Moment, TileKey, stored_tile
+from revisit.service.ports.map_tiles import TileKey, stored_tile
 from revisit.service.ports.storage import require_map
 from revisit.service.ports.transactions import UnitOfWork
 
@@ -137,7 +137,7 @@ def read_tiling(uow: UnitOfWork, policy: Policy, tenant: TenantId, map_id: str, 
     for row in sorted(rows, key=lambda poses: poses.session_number):
         parts.setdefault(row.frame, []).append(row)
     frames = tuple(_joined(name, parts[name]) for name in sorted(parts))
-    return Tiling(map_id, version, grid_of(config), reach_m(config), frames)
+    return Tiling(map_id, version, grid_of(config), config.submap.surface_reach_m(config.scene_scale), frames)
 
 
 def grid_of(config: PipelineConfig) -> TileGrid:
@@ -145,24 +145,21 @@ def grid_of(config: PipelineConfig) -> TileGrid:
     return TileGrid.of(config.implicit_map.resolution, config.scene_scale)
 
 
-def reach_m(config: PipelineConfig) -> float:
-    """How far from a submap its surface may lie, metres; farther parts are in no tile."""
-    return config.submap.max_range * min(1.0, config.scene_scale) + 0.5 * config.submap.tau
-
-
 def read_plan(uow: UnitOfWork, policy: Policy, tenant: TenantId, key: TileKey) -> TilePlan:
     """The sources of a tile. Raises NotFound for a version that is gone or a tile that no submap reaches."""
     tiling = read_tiling(uow, policy, tenant, key.map_id, key.version)
     rows = tiling.reaching(key)
-    if len(rows):
-        key = replace(key, moment=_at_a_submap(uow, tenant, tiling.frame(key.frame), rows, key.moment))
-    else:
+    if not len(rows):
         raise NotFound(f"there is no tile {key.tile_id!r} in version {key.version} of map {key.map_id!r}"[:200])
     x, y, z = tiling.grid.centre(key.cell).tolist()
-    frame, as_of_ns = tiling.frame(key.frame), key.moment.as_of_ns
-    if not key.moment.ever and len(set(frame.sessions[rows].tolist())) > 1:
-        rows = _latest(uow, tenant, frame, rows, as_of_ns, tiling.grid.edge_m / _PLACES)
-    return TilePlan(key, (x, y, z), planned(uow, tenant, frame, rows, as_of_ns))
+    frame, moment = tiling.frame(key.frame), key.moment
+    drives = len(set(frame.sessions[rows].tolist()))
+    if moment.as_of_ns is not None:
+        rows, as_of_ns = _by_then(uow, tenant, frame, rows, moment.as_of_ns)
+        moment = replace(moment, as_of_ns=as_of_ns)
+    if not moment.ever and drives > 1 and len(rows) > MOST_SUBMAPS:
+        rows = _latest(uow, tenant, frame, rows, tiling.grid.edge_m / _PLACES)
+    return TilePlan(replace(key, moment=moment), (x, y, z), planned(uow, tenant, frame, rows))
 
 
 def found_tile(uow: UnitOfWork, policy: Policy, tenant: TenantId, key: TileKey) -> tuple[TileKey, str | None]:
@@ -177,32 +174,26 @@ def found_tile(uow: UnitOfWork, policy: Policy, tenant: TenantId, key: TileKey) 
     return key, sha256
 
 
-def _at_a_submap(
-    uow: UnitOfWork, tenant: TenantId, frame: PlacedFrame, rows: NDArray[np.int64], moment: Moment
-) -> Moment:
-    """The moment of the last of some submaps that were taken by then: in between nothing changes.
+def _by_then(
+    uow: UnitOfWork, tenant: TenantId, frame: PlacedFrame, rows: NDArray[np.int64], as_of_ns: int
+) -> tuple[NDArray[np.int64], int | None]:
+    """The submaps that were taken by a moment, and that of the last of them, None where these are all: in between
+    nothing changes.
 
     So a tile has no more surfaces than submaps, whatever moments somebody asks for.
     """
-    if moment.as_of_ns is None:
-        return moment
     stamps_ns = _stamps_ns(uow, tenant, frame, rows)
-    by_then = stamps_ns[stamps_ns <= moment.as_of_ns]
-    as_of_ns = None if len(by_then) == len(rows) else int(by_then.max(initial=0))
-    return replace(moment, as_of_ns=as_of_ns)
+    by_then = stamps_ns <= as_of_ns
+    return rows[by_then], None if by_then.all() else int(stamps_ns[by_then].max(initial=0))
 
 
 def _latest(
-    uow: UnitOfWork, tenant: TenantId, frame: PlacedFrame, rows: NDArray[np.int64], as_of_ns: int | None, edge_m: float
+    uow: UnitOfWork, tenant: TenantId, frame: PlacedFrame, rows: NDArray[np.int64], edge_m: float
 ) -> NDArray[np.int64]:
     """Submaps of several drives, those first that fewest have followed at their place: what it was like is then told
     by the latest of them. Of those that as many followed the nearest to the middle comes first, as in `rows`.
     """
-    if len(rows) <= MOST_SUBMAPS:
-        return rows
     stamps_ns = _stamps_ns(uow, tenant, frame, rows)
-    by_then = np.ones(len(rows), dtype=bool) if as_of_ns is None else stamps_ns <= as_of_ns
-    rows, stamps_ns = rows[by_then], stamps_ns[by_then]
     times = [in_time(*one) for one in zip(frame.sessions[rows].tolist(), stamps_ns.tolist(), strict=True)]
     followed, seen = np.zeros(len(rows), np.int64), Counter[tuple[int, ...]]()
     places = np.floor(frame.positions[rows, :2] / edge_m).astype(np.int64).tolist()
@@ -220,12 +211,8 @@ def _stamps_ns(uow: UnitOfWork, tenant: TenantId, frame: PlacedFrame, rows: NDAr
     return np.array([known[one].stamp_ns if one in known else 0 for one in numbers], dtype=np.int64)
 
 
-def planned(
-    uow: UnitOfWork, tenant: TenantId, frame: PlacedFrame, rows: NDArray[np.int64], as_of_ns: int | None
-) -> tuple[PlannedMap, ...]:
-    """The first MOST_SUBMAPS of some submaps of a frame that were taken by then, in the order of their drives."""
-    if as_of_ns is not None:
-        rows = rows[_stamps_ns(uow, tenant, frame, rows) <= as_of_ns]
+def planned(uow: UnitOfWork, tenant: TenantId, frame: PlacedFrame, rows: NDArray[np.int64]) -> tuple[PlannedMap, ...]:
+    """The first MOST_SUBMAPS of some submaps of a frame, in the order of their drives."""
     rows = np.sort(rows[:MOST_SUBMAPS])
     known = submaps_numbered(uow, tenant, frame.numbers[rows].tolist())
     found = ((known.get(int(frame.numbers[row])), row) for row in rows.tolist())
