@@ -27,6 +27,7 @@ from revisit.service.features.index.place_memory import PlaceMemory
 from revisit.service.features.ingest.clouds import CloudDecoder
 from revisit.service.features.merging.job import MapMerging
 from revisit.service.features.operations.job_runner import JobRunner
+from revisit.service.features.optimisation.anchor_preview import AnchorPreview
 from revisit.service.features.optimisation.job import MapOptimisation
 from revisit.service.features.publishing.job import MapFiling
 from revisit.service.features.recognition.job import SubmapDescriptionJob
@@ -121,12 +122,14 @@ class ServiceContext:
         context = JobContext(self.transactions, self.blobs, self.clock, self.policy)
         early = EarlyCorrections(self.transactions, self.clock, self.policy, optimiser)
         queries, tiles = CloudQueryJob(context, self.memory, recogniser), TileMaking(context, tiler)
+        optimisation = MapOptimisation(context, optimiser, merger, recogniser, early)
         jobs = {
             OperationKind.DESCRIBE_SUBMAP: SubmapDescriptionJob(context, self.memory, recogniser, early).run,
             OperationKind.SEARCH_CLOUD: queries.search,
             OperationKind.LOCALIZE: queries.localise,
             OperationKind.RELOCALISE: RelocalisationJob(context, self.memory, recogniser).run,
-            OperationKind.OPTIMISE_MAP: MapOptimisation(context, optimiser, merger, recogniser, early).run,
+            OperationKind.OPTIMISE_MAP: optimisation.run,
+            OperationKind.PREVIEW_ANCHORS: AnchorPreview(context, optimisation).run,
             OperationKind.VERIFY_LOOP: ProposedLoopJob(context, recogniser, early).run,
             OperationKind.MERGE_MAP: MapMerging(context, recogniser, optimiser, merger).run,
             OperationKind.MAKE_TILE: tiles.make,

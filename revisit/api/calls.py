@@ -175,6 +175,7 @@ _TABLE = (
         "anchors",
         # Two hundred, written with all digits.
         Row("PostAnchors", INGEST, "POST /v1/{parent=maps/*/sessions/*}/anchors", json_bytes=256 * 2**10),
+        Row("PreviewAnchors", INGEST, "POST /v1/{parent=maps/*/sessions/*}/anchors:preview", json_bytes=256 * 2**10),
         Row("ListAnchors", READ, "GET /v1/{parent=maps/*/sessions/*}/anchors"),
         Row("DeleteAnchor", ADMIN, "DELETE /v1/{name=maps/*/sessions/*/anchors/*}"),
     ),

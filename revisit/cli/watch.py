@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import asdict
 from itertools import islice
+from math import hypot
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -15,9 +16,9 @@ from revisit.cli.options import HTTP, Http, MapName
 from revisit.cli.output import plain, refuse, say, signs
 
 if TYPE_CHECKING:
-    from revisit.sdk.resources import Event, LoopClosure, MapVersion, Operation, RetentionReport
+    from revisit.sdk.resources import Anchor, Event, LoopClosure, MapVersion, Operation, RetentionReport
 
-KINDS = ("LOOP_CLOSURE", "OPERATION", "MAP_VERSION", "RETENTION")
+KINDS = ("LOOP_CLOSURE", "OPERATION", "MAP_VERSION", "RETENTION", "ANCHOR")
 
 
 def watch(
@@ -26,13 +27,13 @@ def watch(
         int | None, typer.Option(min=0, help="Begin behind this event; 0: with the oldest that is kept.")
     ] = None,
     kind: Annotated[
-        list[str] | None, typer.Option(help="LOOP_CLOSURE, OPERATION, MAP_VERSION or RETENTION; may be given again.")
+        list[str] | None, typer.Option(help=f"{', '.join(KINDS[:-1])} or {KINDS[-1]}; may be given again.")
     ] = None,
     count: Annotated[int | None, typer.Option(min=1, help="End after so many events.")] = None,
     http: Http = HTTP,
     json: Annotated[bool, typer.Option("--json", help="One JSON document a line.")] = False,
 ) -> None:
-    """Print loop closures, operations and versions of a map as they happen, until Ctrl-C."""
+    """Print loop closures, operations, versions and anchors of a map as they happen, until Ctrl-C."""
     from revisit.sdk.client import Client
 
     kinds = [word.upper() for word in kind or ()]
@@ -60,6 +61,8 @@ def _sentences(event: Event) -> Iterator[str]:
         yield number + _of_version(event.map_version)
     elif event.retention is not None:
         yield number + _of_retention(event.retention)
+    elif event.anchor is not None:
+        yield number + _of_anchor(event.anchor)
     else:
         yield number + "earlier events are no longer kept: list again what is of interest"
 
@@ -83,6 +86,15 @@ def _of_version(version: MapVersion) -> str:
 def _of_retention(report: RetentionReport) -> str:
     freed = sum(one.bytes for one in report.rules)
     return f"retention has removed {1e-6 * freed:.1f} MB by {', '.join(one.rule for one in report.rules)}"
+
+
+_OF_ANCHORS = {"IN_MAP": "holds the map", "SET_ASIDE": "set aside", "NOT_ALIGNED": "has no effect"}
+
+
+def _of_anchor(anchor: Anchor) -> str:
+    said = _OF_ANCHORS.get(anchor.state or "", "is not judged")
+    off = "" if anchor.residual_m is None else f", {hypot(*anchor.residual_m):.2f} m off"
+    return f"anchor {said}: {short_name(anchor.name)}{off}{f', {anchor.reason}' if anchor.reason else ''}"
 
 
 def short_name(name: str) -> str:

@@ -676,13 +676,14 @@ class Event(Resource):
     number.
     """
     kind: str = ""
-    """LOOP_CLOSURE, OPERATION, OPENED, MAP_VERSION, RETENTION or FORGOTTEN."""
+    """LOOP_CLOSURE, OPERATION, OPENED, MAP_VERSION, RETENTION, ANCHOR or FORGOTTEN."""
     map: str = ""
     """maps/{map}"""
     loop_closure: LoopClosure | None = None
     operation: Operation | None = None
     map_version: MapVersion | None = None
     retention: RetentionReport | None = None
+    anchor: Anchor | None = None
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,4 +1,5 @@
 from revisit.v1 import geometry_pb2 as _geometry_pb2
+from revisit.v1 import operation_pb2 as _operation_pb2
 from google.protobuf.internal import containers as _containers
 from google.protobuf.internal import enum_type_wrapper as _enum_type_wrapper
 from google.protobuf import descriptor as _descriptor
@@ -123,6 +124,22 @@ class PostAnchorsResponse(_message.Message):
     ANCHORS_FIELD_NUMBER: _ClassVar[int]
     anchors: _containers.RepeatedCompositeFieldContainer[Anchor]
     def __init__(self, anchors: _Optional[_Iterable[_Union[Anchor, _Mapping]]] = ...) -> None: ...
+
+class PreviewAnchorsRequest(_message.Message):
+    __slots__ = ("parent", "anchors")
+    PARENT_FIELD_NUMBER: _ClassVar[int]
+    ANCHORS_FIELD_NUMBER: _ClassVar[int]
+    parent: str
+    anchors: _containers.RepeatedCompositeFieldContainer[NewAnchor]
+    def __init__(self, parent: _Optional[str] = ..., anchors: _Optional[_Iterable[_Union[NewAnchor, _Mapping]]] = ...) -> None: ...
+
+class PreviewAnchorsResponse(_message.Message):
+    __slots__ = ("operation", "replay")
+    OPERATION_FIELD_NUMBER: _ClassVar[int]
+    REPLAY_FIELD_NUMBER: _ClassVar[int]
+    operation: _operation_pb2.Operation
+    replay: bool
+    def __init__(self, operation: _Optional[_Union[_operation_pb2.Operation, _Mapping]] = ..., replay: _Optional[bool] = ...) -> None: ...
 
 class ListAnchorsRequest(_message.Message):
     __slots__ = ("parent", "page_size", "page_token")

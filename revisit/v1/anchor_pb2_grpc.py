@@ -40,6 +40,11 @@ class AnchorServiceStub:
                 request_serializer=revisit_dot_v1_dot_anchor__pb2.PostAnchorsRequest.SerializeToString,
                 response_deserializer=revisit_dot_v1_dot_anchor__pb2.PostAnchorsResponse.FromString,
                 _registered_method=True)
+        self.PreviewAnchors = channel.unary_unary(
+                '/revisit.v1.AnchorService/PreviewAnchors',
+                request_serializer=revisit_dot_v1_dot_anchor__pb2.PreviewAnchorsRequest.SerializeToString,
+                response_deserializer=revisit_dot_v1_dot_anchor__pb2.PreviewAnchorsResponse.FromString,
+                _registered_method=True)
         self.ListAnchors = channel.unary_unary(
                 '/revisit.v1.AnchorService/ListAnchors',
                 request_serializer=revisit_dot_v1_dot_anchor__pb2.ListAnchorsRequest.SerializeToString,
@@ -59,6 +64,14 @@ class AnchorServiceServicer:
     def PostAnchors(self, request, context):
         """Post anchors of a session, all or none. The same id with the same content is passed over; with other content:
         ALREADY_EXISTS. The first geodetic one of a map gives its origin.
+        """
+        context.set_code(grpc.StatusCode.UNIMPLEMENTED)
+        context.set_details('Method not implemented!')
+        raise NotImplementedError('Method not implemented!')
+
+    def PreviewAnchors(self, request, context):
+        """What anchors of a session would do to the map, beside those that it has: an operation that keeps nothing. Its result
+        tells the verdict on each, which others it would change, where frames lie on earth, and how far submaps would move.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
@@ -85,6 +98,11 @@ def add_AnchorServiceServicer_to_server(servicer, server):
                     servicer.PostAnchors,
                     request_deserializer=revisit_dot_v1_dot_anchor__pb2.PostAnchorsRequest.FromString,
                     response_serializer=revisit_dot_v1_dot_anchor__pb2.PostAnchorsResponse.SerializeToString,
+            ),
+            'PreviewAnchors': grpc.unary_unary_rpc_method_handler(
+                    servicer.PreviewAnchors,
+                    request_deserializer=revisit_dot_v1_dot_anchor__pb2.PreviewAnchorsRequest.FromString,
+                    response_serializer=revisit_dot_v1_dot_anchor__pb2.PreviewAnchorsResponse.SerializeToString,
             ),
             'ListAnchors': grpc.unary_unary_rpc_method_handler(
                     servicer.ListAnchors,
@@ -125,6 +143,33 @@ class AnchorService:
             '/revisit.v1.AnchorService/PostAnchors',
             revisit_dot_v1_dot_anchor__pb2.PostAnchorsRequest.SerializeToString,
             revisit_dot_v1_dot_anchor__pb2.PostAnchorsResponse.FromString,
+            options,
+            channel_credentials,
+            insecure,
+            call_credentials,
+            compression,
+            wait_for_ready,
+            timeout,
+            metadata,
+            _registered_method=True)
+
+    @staticmethod
+    def PreviewAnchors(request,
+            target,
+            options=(),
+            channel_credentials=None,
+            call_credentials=None,
+            insecure=False,
+            compression=None,
+            wait_for_ready=None,
+            timeout=None,
+            metadata=None):
+        return grpc.experimental.unary_unary(
+            request,
+            target,
+            '/revisit.v1.AnchorService/PreviewAnchors',
+            revisit_dot_v1_dot_anchor__pb2.PreviewAnchorsRequest.SerializeToString,
+            revisit_dot_v1_dot_anchor__pb2.PreviewAnchorsResponse.FromString,
             options,
             channel_credentials,
             insecure,

@@ -1,3 +1,4 @@
+from revisit.v1 import anchor_pb2 as _anchor_pb2
 from revisit.v1 import loop_closure_pb2 as _loop_closure_pb2
 from revisit.v1 import mapping_pb2 as _mapping_pb2
 from revisit.v1 import operation_pb2 as _operation_pb2
@@ -12,7 +13,7 @@ from typing import ClassVar as _ClassVar, Optional as _Optional, Union as _Union
 DESCRIPTOR: _descriptor.FileDescriptor
 
 class Event(_message.Message):
-    __slots__ = ("number", "kind", "map", "loop_closure", "operation", "map_version", "retention")
+    __slots__ = ("number", "kind", "map", "loop_closure", "operation", "map_version", "retention", "anchor")
     class Kind(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
         __slots__ = ()
         KIND_UNSPECIFIED: _ClassVar[Event.Kind]
@@ -21,6 +22,7 @@ class Event(_message.Message):
         OPENED: _ClassVar[Event.Kind]
         MAP_VERSION: _ClassVar[Event.Kind]
         RETENTION: _ClassVar[Event.Kind]
+        ANCHOR: _ClassVar[Event.Kind]
         FORGOTTEN: _ClassVar[Event.Kind]
     KIND_UNSPECIFIED: Event.Kind
     LOOP_CLOSURE: Event.Kind
@@ -28,6 +30,7 @@ class Event(_message.Message):
     OPENED: Event.Kind
     MAP_VERSION: Event.Kind
     RETENTION: Event.Kind
+    ANCHOR: Event.Kind
     FORGOTTEN: Event.Kind
     NUMBER_FIELD_NUMBER: _ClassVar[int]
     KIND_FIELD_NUMBER: _ClassVar[int]
@@ -36,6 +39,7 @@ class Event(_message.Message):
     OPERATION_FIELD_NUMBER: _ClassVar[int]
     MAP_VERSION_FIELD_NUMBER: _ClassVar[int]
     RETENTION_FIELD_NUMBER: _ClassVar[int]
+    ANCHOR_FIELD_NUMBER: _ClassVar[int]
     number: int
     kind: Event.Kind
     map: str
@@ -43,7 +47,8 @@ class Event(_message.Message):
     operation: _operation_pb2.Operation
     map_version: _mapping_pb2.MapVersion
     retention: _retention_pb2.RetentionReport
-    def __init__(self, number: _Optional[int] = ..., kind: _Optional[_Union[Event.Kind, str]] = ..., map: _Optional[str] = ..., loop_closure: _Optional[_Union[_loop_closure_pb2.LoopClosure, _Mapping]] = ..., operation: _Optional[_Union[_operation_pb2.Operation, _Mapping]] = ..., map_version: _Optional[_Union[_mapping_pb2.MapVersion, _Mapping]] = ..., retention: _Optional[_Union[_retention_pb2.RetentionReport, _Mapping]] = ...) -> None: ...
+    anchor: _anchor_pb2.Anchor
+    def __init__(self, number: _Optional[int] = ..., kind: _Optional[_Union[Event.Kind, str]] = ..., map: _Optional[str] = ..., loop_closure: _Optional[_Union[_loop_closure_pb2.LoopClosure, _Mapping]] = ..., operation: _Optional[_Union[_operation_pb2.Operation, _Mapping]] = ..., map_version: _Optional[_Union[_mapping_pb2.MapVersion, _Mapping]] = ..., retention: _Optional[_Union[_retention_pb2.RetentionReport, _Mapping]] = ..., anchor: _Optional[_Union[_anchor_pb2.Anchor, _Mapping]] = ...) -> None: ...
 
 class WatchEventsRequest(_message.Message):
     __slots__ = ("parent", "after", "kinds")

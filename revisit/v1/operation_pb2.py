@@ -25,7 +25,7 @@ _sym_db = _symbol_database.Default()
 from google.protobuf import struct_pb2 as google_dot_protobuf_dot_struct__pb2
 
 
-DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n\x1arevisit/v1/operation.proto\x12\nrevisit.v1\x1a\x1cgoogle/protobuf/struct.proto\"*\n\x07\x46\x61ilure\x12\x0e\n\x06reason\x18\x01 \x01(\t\x12\x0f\n\x07message\x18\x02 \x01(\t\"\xbc\x05\n\tOperation\x12\x0c\n\x04name\x18\x01 \x01(\t\x12(\n\x04kind\x18\x02 \x01(\x0e\x32\x1a.revisit.v1.Operation.Kind\x12*\n\x05state\x18\x03 \x01(\x0e\x32\x1b.revisit.v1.Operation.State\x12\x0f\n\x07subject\x18\x04 \x01(\t\x12\x10\n\x08\x61ttempts\x18\x05 \x01(\r\x12\'\n\x06result\x18\x06 \x01(\x0b\x32\x17.google.protobuf.Struct\x12$\n\x07\x66\x61ilure\x18\x07 \x01(\x0b\x32\x13.revisit.v1.Failure\x12\x15\n\rcreated_at_ns\x18\x08 \x01(\x03\x12\x1b\n\x0e\x66inished_at_ns\x18\t \x01(\x03H\x00\x88\x01\x01\x12/\n\x08progress\x18\n \x01(\x0b\x32\x1d.revisit.v1.OperationProgress\x12\x18\n\x10\x63\x61ncel_requested\x18\x0b \x01(\x08\"\xf7\x01\n\x04Kind\x12\x14\n\x10KIND_UNSPECIFIED\x10\x00\x12\x13\n\x0f\x44\x45SCRIBE_SUBMAP\x10\x01\x12\x10\n\x0cSEARCH_CLOUD\x10\x02\x12\x0c\n\x08LOCALIZE\x10\x03\x12\x10\n\x0cOPTIMISE_MAP\x10\x04\x12\x0f\n\x0bVERIFY_LOOP\x10\x05\x12\r\n\tMERGE_MAP\x10\x06\x12\r\n\tMAKE_TILE\x10\x07\x12\x0f\n\x0bMEASURE_MAP\x10\x08\x12\x0f\n\x0bPUBLISH_MAP\x10\t\x12\x10\n\x0cRECALL_LOOPS\x10\n\x12\r\n\tMAKE_MESH\x10\x0b\x12\x0e\n\nRELOCALISE\x10\x0c\x12\x10\n\x0c\x46IND_CHANGES\x10\r\"M\n\x05State\x12\x15\n\x11STATE_UNSPECIFIED\x10\x00\x12\n\n\x06QUEUED\x10\x01\x12\x0b\n\x07RUNNING\x10\x02\x12\x08\n\x04\x44ONE\x10\x03\x12\n\n\x06\x46\x41ILED\x10\x04\x42\x11\n\x0f_finished_at_ns\"?\n\x11OperationProgress\x12\r\n\x05stage\x18\x01 \x01(\t\x12\x0c\n\x04\x64one\x18\x02 \x01(\r\x12\r\n\x05total\x18\x03 \x01(\r\"#\n\x13GetOperationRequest\x12\x0c\n\x04name\x18\x01 \x01(\t\"@\n\x14GetOperationResponse\x12(\n\toperation\x18\x01 \x01(\x0b\x32\x15.revisit.v1.Operation\"j\n\x15ListOperationsRequest\x12\x11\n\tpage_size\x18\x01 \x01(\x05\x12\x12\n\npage_token\x18\x02 \x01(\t\x12*\n\x05state\x18\x03 \x01(\x0e\x32\x1b.revisit.v1.Operation.State\"\\\n\x16ListOperationsResponse\x12)\n\noperations\x18\x01 \x03(\x0b\x32\x15.revisit.v1.Operation\x12\x17\n\x0fnext_page_token\x18\x02 \x01(\t\"J\n\x14WaitOperationRequest\x12\x0c\n\x04name\x18\x01 \x01(\t\x12\x16\n\ttimeout_s\x18\x02 \x01(\x01H\x00\x88\x01\x01\x42\x0c\n\n_timeout_s\"A\n\x15WaitOperationResponse\x12(\n\toperation\x18\x01 \x01(\x0b\x32\x15.revisit.v1.Operation\"%\n\x15RetryOperationRequest\x12\x0c\n\x04name\x18\x01 \x01(\t\"B\n\x16RetryOperationResponse\x12(\n\toperation\x18\x01 \x01(\x0b\x32\x15.revisit.v1.Operation\"&\n\x16\x43\x61ncelOperationRequest\x12\x0c\n\x04name\x18\x01 \x01(\t\"C\n\x17\x43\x61ncelOperationResponse\x12(\n\toperation\x18\x01 \x01(\x0b\x32\x15.revisit.v1.Operation2\xc9\x03\n\x10OperationService\x12Q\n\x0cGetOperation\x12\x1f.revisit.v1.GetOperationRequest\x1a .revisit.v1.GetOperationResponse\x12W\n\x0eListOperations\x12!.revisit.v1.ListOperationsRequest\x1a\".revisit.v1.ListOperationsResponse\x12T\n\rWaitOperation\x12 .revisit.v1.WaitOperationRequest\x1a!.revisit.v1.WaitOperationResponse\x12W\n\x0eRetryOperation\x12!.revisit.v1.RetryOperationRequest\x1a\".revisit.v1.RetryOperationResponse\x12Z\n\x0f\x43\x61ncelOperation\x12\".revisit.v1.CancelOperationRequest\x1a#.revisit.v1.CancelOperationResponseb\x06proto3')
+DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n\x1arevisit/v1/operation.proto\x12\nrevisit.v1\x1a\x1cgoogle/protobuf/struct.proto\"*\n\x07\x46\x61ilure\x12\x0e\n\x06reason\x18\x01 \x01(\t\x12\x0f\n\x07message\x18\x02 \x01(\t\"\xd1\x05\n\tOperation\x12\x0c\n\x04name\x18\x01 \x01(\t\x12(\n\x04kind\x18\x02 \x01(\x0e\x32\x1a.revisit.v1.Operation.Kind\x12*\n\x05state\x18\x03 \x01(\x0e\x32\x1b.revisit.v1.Operation.State\x12\x0f\n\x07subject\x18\x04 \x01(\t\x12\x10\n\x08\x61ttempts\x18\x05 \x01(\r\x12\'\n\x06result\x18\x06 \x01(\x0b\x32\x17.google.protobuf.Struct\x12$\n\x07\x66\x61ilure\x18\x07 \x01(\x0b\x32\x13.revisit.v1.Failure\x12\x15\n\rcreated_at_ns\x18\x08 \x01(\x03\x12\x1b\n\x0e\x66inished_at_ns\x18\t \x01(\x03H\x00\x88\x01\x01\x12/\n\x08progress\x18\n \x01(\x0b\x32\x1d.revisit.v1.OperationProgress\x12\x18\n\x10\x63\x61ncel_requested\x18\x0b \x01(\x08\"\x8c\x02\n\x04Kind\x12\x14\n\x10KIND_UNSPECIFIED\x10\x00\x12\x13\n\x0f\x44\x45SCRIBE_SUBMAP\x10\x01\x12\x10\n\x0cSEARCH_CLOUD\x10\x02\x12\x0c\n\x08LOCALIZE\x10\x03\x12\x10\n\x0cOPTIMISE_MAP\x10\x04\x12\x0f\n\x0bVERIFY_LOOP\x10\x05\x12\r\n\tMERGE_MAP\x10\x06\x12\r\n\tMAKE_TILE\x10\x07\x12\x0f\n\x0bMEASURE_MAP\x10\x08\x12\x0f\n\x0bPUBLISH_MAP\x10\t\x12\x10\n\x0cRECALL_LOOPS\x10\n\x12\r\n\tMAKE_MESH\x10\x0b\x12\x0e\n\nRELOCALISE\x10\x0c\x12\x10\n\x0c\x46IND_CHANGES\x10\r\x12\x13\n\x0fPREVIEW_ANCHORS\x10\x0e\"M\n\x05State\x12\x15\n\x11STATE_UNSPECIFIED\x10\x00\x12\n\n\x06QUEUED\x10\x01\x12\x0b\n\x07RUNNING\x10\x02\x12\x08\n\x04\x44ONE\x10\x03\x12\n\n\x06\x46\x41ILED\x10\x04\x42\x11\n\x0f_finished_at_ns\"?\n\x11OperationProgress\x12\r\n\x05stage\x18\x01 \x01(\t\x12\x0c\n\x04\x64one\x18\x02 \x01(\r\x12\r\n\x05total\x18\x03 \x01(\r\"#\n\x13GetOperationRequest\x12\x0c\n\x04name\x18\x01 \x01(\t\"@\n\x14GetOperationResponse\x12(\n\toperation\x18\x01 \x01(\x0b\x32\x15.revisit.v1.Operation\"j\n\x15ListOperationsRequest\x12\x11\n\tpage_size\x18\x01 \x01(\x05\x12\x12\n\npage_token\x18\x02 \x01(\t\x12*\n\x05state\x18\x03 \x01(\x0e\x32\x1b.revisit.v1.Operation.State\"\\\n\x16ListOperationsResponse\x12)\n\noperations\x18\x01 \x03(\x0b\x32\x15.revisit.v1.Operation\x12\x17\n\x0fnext_page_token\x18\x02 \x01(\t\"J\n\x14WaitOperationRequest\x12\x0c\n\x04name\x18\x01 \x01(\t\x12\x16\n\ttimeout_s\x18\x02 \x01(\x01H\x00\x88\x01\x01\x42\x0c\n\n_timeout_s\"A\n\x15WaitOperationResponse\x12(\n\toperation\x18\x01 \x01(\x0b\x32\x15.revisit.v1.Operation\"%\n\x15RetryOperationRequest\x12\x0c\n\x04name\x18\x01 \x01(\t\"B\n\x16RetryOperationResponse\x12(\n\toperation\x18\x01 \x01(\x0b\x32\x15.revisit.v1.Operation\"&\n\x16\x43\x61ncelOperationRequest\x12\x0c\n\x04name\x18\x01 \x01(\t\"C\n\x17\x43\x61ncelOperationResponse\x12(\n\toperation\x18\x01 \x01(\x0b\x32\x15.revisit.v1.Operation2\xc9\x03\n\x10OperationService\x12Q\n\x0cGetOperation\x12\x1f.revisit.v1.GetOperationRequest\x1a .revisit.v1.GetOperationResponse\x12W\n\x0eListOperations\x12!.revisit.v1.ListOperationsRequest\x1a\".revisit.v1.ListOperationsResponse\x12T\n\rWaitOperation\x12 .revisit.v1.WaitOperationRequest\x1a!.revisit.v1.WaitOperationResponse\x12W\n\x0eRetryOperation\x12!.revisit.v1.RetryOperationRequest\x1a\".revisit.v1.RetryOperationResponse\x12Z\n\x0f\x43\x61ncelOperation\x12\".revisit.v1.CancelOperationRequest\x1a#.revisit.v1.CancelOperationResponseb\x06proto3')
 
 _globals = globals()
 _builder.BuildMessageAndEnumDescriptors(DESCRIPTOR, _globals)
@@ -35,33 +35,33 @@ if not _descriptor._USE_C_DESCRIPTORS:
   _globals['_FAILURE']._serialized_start=72
   _globals['_FAILURE']._serialized_end=114
   _globals['_OPERATION']._serialized_start=117
-  _globals['_OPERATION']._serialized_end=817
+  _globals['_OPERATION']._serialized_end=838
   _globals['_OPERATION_KIND']._serialized_start=472
-  _globals['_OPERATION_KIND']._serialized_end=719
-  _globals['_OPERATION_STATE']._serialized_start=721
-  _globals['_OPERATION_STATE']._serialized_end=798
-  _globals['_OPERATIONPROGRESS']._serialized_start=819
-  _globals['_OPERATIONPROGRESS']._serialized_end=882
-  _globals['_GETOPERATIONREQUEST']._serialized_start=884
-  _globals['_GETOPERATIONREQUEST']._serialized_end=919
-  _globals['_GETOPERATIONRESPONSE']._serialized_start=921
-  _globals['_GETOPERATIONRESPONSE']._serialized_end=985
-  _globals['_LISTOPERATIONSREQUEST']._serialized_start=987
-  _globals['_LISTOPERATIONSREQUEST']._serialized_end=1093
-  _globals['_LISTOPERATIONSRESPONSE']._serialized_start=1095
-  _globals['_LISTOPERATIONSRESPONSE']._serialized_end=1187
-  _globals['_WAITOPERATIONREQUEST']._serialized_start=1189
-  _globals['_WAITOPERATIONREQUEST']._serialized_end=1263
-  _globals['_WAITOPERATIONRESPONSE']._serialized_start=1265
-  _globals['_WAITOPERATIONRESPONSE']._serialized_end=1330
-  _globals['_RETRYOPERATIONREQUEST']._serialized_start=1332
-  _globals['_RETRYOPERATIONREQUEST']._serialized_end=1369
-  _globals['_RETRYOPERATIONRESPONSE']._serialized_start=1371
-  _globals['_RETRYOPERATIONRESPONSE']._serialized_end=1437
-  _globals['_CANCELOPERATIONREQUEST']._serialized_start=1439
-  _globals['_CANCELOPERATIONREQUEST']._serialized_end=1477
-  _globals['_CANCELOPERATIONRESPONSE']._serialized_start=1479
-  _globals['_CANCELOPERATIONRESPONSE']._serialized_end=1546
-  _globals['_OPERATIONSERVICE']._serialized_start=1549
-  _globals['_OPERATIONSERVICE']._serialized_end=2006
+  _globals['_OPERATION_KIND']._serialized_end=740
+  _globals['_OPERATION_STATE']._serialized_start=742
+  _globals['_OPERATION_STATE']._serialized_end=819
+  _globals['_OPERATIONPROGRESS']._serialized_start=840
+  _globals['_OPERATIONPROGRESS']._serialized_end=903
+  _globals['_GETOPERATIONREQUEST']._serialized_start=905
+  _globals['_GETOPERATIONREQUEST']._serialized_end=940
+  _globals['_GETOPERATIONRESPONSE']._serialized_start=942
+  _globals['_GETOPERATIONRESPONSE']._serialized_end=1006
+  _globals['_LISTOPERATIONSREQUEST']._serialized_start=1008
+  _globals['_LISTOPERATIONSREQUEST']._serialized_end=1114
+  _globals['_LISTOPERATIONSRESPONSE']._serialized_start=1116
+  _globals['_LISTOPERATIONSRESPONSE']._serialized_end=1208
+  _globals['_WAITOPERATIONREQUEST']._serialized_start=1210
+  _globals['_WAITOPERATIONREQUEST']._serialized_end=1284
+  _globals['_WAITOPERATIONRESPONSE']._serialized_start=1286
+  _globals['_WAITOPERATIONRESPONSE']._serialized_end=1351
+  _globals['_RETRYOPERATIONREQUEST']._serialized_start=1353
+  _globals['_RETRYOPERATIONREQUEST']._serialized_end=1390
+  _globals['_RETRYOPERATIONRESPONSE']._serialized_start=1392
+  _globals['_RETRYOPERATIONRESPONSE']._serialized_end=1458
+  _globals['_CANCELOPERATIONREQUEST']._serialized_start=1460
+  _globals['_CANCELOPERATIONREQUEST']._serialized_end=1498
+  _globals['_CANCELOPERATIONRESPONSE']._serialized_start=1500
+  _globals['_CANCELOPERATIONRESPONSE']._serialized_end=1567
+  _globals['_OPERATIONSERVICE']._serialized_start=1570
+  _globals['_OPERATIONSERVICE']._serialized_end=2027
 # @@protoc_insertion_point(module_scope)

@@ -34,6 +34,7 @@ class Operation(_message.Message):
         MAKE_MESH: _ClassVar[Operation.Kind]
         RELOCALISE: _ClassVar[Operation.Kind]
         FIND_CHANGES: _ClassVar[Operation.Kind]
+        PREVIEW_ANCHORS: _ClassVar[Operation.Kind]
     KIND_UNSPECIFIED: Operation.Kind
     DESCRIBE_SUBMAP: Operation.Kind
     SEARCH_CLOUD: Operation.Kind
@@ -48,6 +49,7 @@ class Operation(_message.Message):
     MAKE_MESH: Operation.Kind
     RELOCALISE: Operation.Kind
     FIND_CHANGES: Operation.Kind
+    PREVIEW_ANCHORS: Operation.Kind
     class State(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
         __slots__ = ()
         STATE_UNSPECIFIED: _ClassVar[Operation.State]

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from revisit.core.errors import BadField
+from revisit.service.calls.operations import asked_fields
 from revisit.service.domain.identity import TenantId
 from revisit.service.domain.states import AnchorFrame, AnchorKind
 from revisit.service.features.anchors.calls import AnchorView
@@ -22,6 +23,12 @@ async def post_anchors(cases: UseCases, tenant: TenantId, request: pb.PostAnchor
         tenant, names.session_key(request.parent, "parent"), [*map(_anchor, request.anchors)]
     )
     return {"anchors": [anchor_fields(one) for one in posted]}
+
+
+async def preview_anchors(cases: UseCases, tenant: TenantId, request: pb.PreviewAnchorsRequest) -> Answer:
+    """The operation that says what anchors would do."""
+    key = names.session_key(request.parent, "parent")
+    return asked_fields(await cases.anchors.preview(tenant, key, [*map(_anchor, request.anchors)]))
 
 
 def _anchor(sent: pb.NewAnchor) -> NewAnchor:

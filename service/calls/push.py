@@ -6,6 +6,7 @@ from collections.abc import AsyncIterator, Sequence
 
 from pydantic_core import to_json
 
+from revisit.service.calls.anchors import anchor_fields
 from revisit.service.calls.loops import loop_fields
 from revisit.service.calls.mapping import version_fields
 from revisit.service.calls.operations import operation_fields
@@ -49,6 +50,7 @@ def event_fields(view: EventView) -> Fields:
         operation=None if view.operation is None else operation_fields(view.operation),
         map_version=None if view.map_version is None else version_fields(view.map_version),
         retention=None if view.retention is None else report_fields(view.retention),
+        anchor=None if view.anchor is None else anchor_fields(view.anchor),
     )
 
 

@@ -68,7 +68,7 @@ def _waiting(uow: UnitOfWork, tenant: TenantId) -> int:
 
 QUERIES = (
     OperationKind.SEARCH_CLOUD, OperationKind.LOCALIZE, OperationKind.RELOCALISE, OperationKind.MAKE_TILE,
-    OperationKind.MEASURE_MAP, OperationKind.MAKE_MESH,
+    OperationKind.MEASURE_MAP, OperationKind.MAKE_MESH, OperationKind.PREVIEW_ANCHORS,
 )  # fmt: skip
 """The kinds of jobs for which a client waits."""
 

@@ -73,6 +73,7 @@ class EventKind(StrEnum):
     OPERATION = "OPERATION"
     MAP_VERSION = "MAP_VERSION"
     RETENTION = "RETENTION"
+    ANCHOR = "ANCHOR"
     OPENED = "OPENED"
     FORGOTTEN = "FORGOTTEN"
 
@@ -100,6 +101,7 @@ class OperationKind(StrEnum):
     RECALL_LOOPS = "RECALL_LOOPS"
     MAKE_MESH = "MAKE_MESH"
     FIND_CHANGES = "FIND_CHANGES"
+    PREVIEW_ANCHORS = "PREVIEW_ANCHORS"
 
 
 class MapFileState(StrEnum):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import json
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -13,21 +14,18 @@ from typer.testing import CliRunner
 from revisit.cli.app import app
 from revisit.core.geometry import geodesy, se3
 from revisit.core.geometry.se3 import pose_matrix
-from revisit.sdk import anchors
 from revisit.service.domain.identity import SessionKey
-from revisit.service.domain.states import AnchorFrame, AnchorKind
-from revisit.service.features.anchors.rules import DrivePoses, NewAnchor
+from revisit.service.domain.states import AnchorKind, EventKind
+from revisit.service.features.anchors.rules import DrivePoses
+from revisit.service.features.events.calls import events_of
 from revisit.service.features.graph.anchor_verdicts import anchor_verdicts, frames_on_earth
 from revisit.service.features.graph.session_poses import PackedSubmaps
 from revisit.service.features.merging.calls import MergeMap
 from revisit.service.features.resources.paging import PageRequest
 from tests.support.fleet_in_service import fleet_in, fleet_in_two
 from tests.support.live_service import connected, live_service
-from tests.support.made_up_anchors import MAST, fixes
+from tests.support.made_up_anchors import ORIGIN, new_anchors, sent, with_stamps
 from tests.support.service_world import TENANT, memory_world, sqlite_world
-
-ORIGIN = (48.1, 11.5, 520.0)
-SIGMA_M = 1.5
 
 
 @pytest.fixture(params=["memory", "sqlite"])
@@ -36,21 +34,6 @@ async def world(request, tmp_path):
     yield made
     if request.param == "sqlite":
         made.context.transactions.close()
-
-
-def new_anchors(made, session: str) -> list[NewAnchor]:
-    """The fixes of a session as a client has them: one in five reflected, positions on earth."""
-    found = []
-    for one in fixes(made, int(session[1:]), SIGMA_M, 0.2, sessions=(session,)):
-        T_odom_submap = made.graph.by_session[session].T_odom_submap[one.node.ordinal]
-        earth = tuple(geodesy.geodetic_of_enu(ORIGIN, one.place_world[None])[0].tolist())
-        found.append(
-            NewAnchor(
-                one.name, AnchorKind.GNSS, AnchorFrame.WGS84, 1_000 * one.node.ordinal, earth,
-                tuple(one.covariance.ravel().tolist()), tuple(MAST.tolist()), T_odom_submap,
-            )
-        )  # fmt: skip
-    return found
 
 
 async def posted(world, made) -> None:
@@ -138,6 +121,88 @@ async def test_a_version_on_earth_comes_back_to_the_byte(world):
     assert [(one.state, one.reason) for one in await listed(world, made)] == [(one.state, one.reason) for one in states]
 
 
+def told(world, after: int = 0):
+    """The anchors of the events behind a number: id, state and reason of each."""
+
+    def events(uow):
+        return events_of(uow, uow.events.following(TENANT, "town", after, 1000))
+
+    found = [one.anchor for one in world.context.transactions.read(events).result() if one.kind is EventKind.ANCHOR]
+    return {(one.record.anchor_id, one.state and one.state.value, one.reason and one.reason.value) for one in found}
+
+
+def last_event(world) -> int:
+    return world.context.transactions.read(lambda uow: uow.events.last_numbers([(TENANT, "town")])).result()[
+        TENANT, "town"
+    ]
+
+
+async def test_an_anchor_that_is_set_aside_or_used_again_is_an_event(world):
+    made = fleet_in(world, "town", 0.0, sessions=2, submaps=30).fleet
+    with_stamps(world)
+    before = await optimised(world)
+    sent_anchors = new_anchors(made, "s0")
+    right = next(one for one in sent_anchors if one.anchor_id.startswith("right"))
+    door = replace(right, anchor_id="door", kind=AnchorKind.CONTROL_POINT)
+    await world.use_cases.anchors.post(TENANT, SessionKey("town", "s0"), [*sent_anchors, door])
+    on_earth = await optimised(world)
+    aside = {(one.anchor_id, "SET_ASIDE", "DISAGREES") for one in sent_anchors if one.anchor_id.startswith("wrong")}
+    assert len(aside) == 6 and told(world) == aside | {("door", "IN_MAP", None)}
+    seen = last_event(world)
+    await optimised(world)
+    assert told(world, seen) == set()
+    await world.use_cases.map_versions.revert(TENANT, "town", before.version)
+    assert told(world, seen) == {(name, None, None) for name, *_ in [*aside, ("door",)]}
+    seen = last_event(world)
+    await world.use_cases.map_versions.revert(TENANT, "town", on_earth.version)
+    assert told(world, seen) == aside | {("door", "IN_MAP", None)}
+
+
+async def test_a_preview_says_what_anchors_would_do_and_keeps_nothing(world):
+    made = fleet_in(world, "town", 0.0, sessions=2, submaps=30).fleet
+    with_stamps(world)
+    before, key = await optimised(world), SessionKey("town", "s0")
+    asked = new_anchors(made, "s0")
+    posted = await world.use_cases.anchors.preview(TENANT, key, asked)
+    again = await world.use_cases.anchors.preview(TENANT, key, asked)
+    assert again.replay and again.operation.operation_id == posted.operation.operation_id
+    world.work_off()
+    done = await world.use_cases.operations.get(TENANT, posted.operation.operation_id)
+    assert rows(world, "anchors") == [] and [one.version for one in rows(world, "map_versions")] == [before.version]
+    assert [one.origin for one in rows(world, "maps")] == [None]
+    await world.use_cases.anchors.post(TENANT, key, asked)
+    after = await optimised(world)
+    (found,) = after.summary["georeferences"]
+    assert [one["T_enu_map"] for one in done.result["georeferences"]] == [found["T_enu_map"]]
+    assert done.result["max_change_m"] == after.summary["max_change_m"] > 0.01
+    judged = {
+        one.record.name: (one.state.value, one.reason, one.residual_m.tolist()) for one in await listed(world, made)
+    }
+    assert {
+        one["name"]: (one["state"], one["reason"] or None, one["residual_m"]) for one in done.result["anchors"]
+    } == judged
+    assert done.result["others"] == []
+
+
+async def test_a_preview_names_the_anchors_that_others_would_set_aside():
+    world = memory_world()
+    made = fleet_in(world, "town", 0.0, sessions=2, submaps=30).fleet
+    with_stamps(world)
+    key = SessionKey("town", "s0")
+    fixes = [one for one in new_anchors(made, "s0", sigma_m=0.3) if one.anchor_id.startswith("right")]
+    lied = [replace(one, position=(one.position[0], one.position[1] + 4e-4, one.position[2])) for one in fixes[::4]]
+    await world.use_cases.anchors.post(TENANT, key, lied)
+    await optimised(world)
+    assert {one.state.value for one in await listed(world, made)} == {"IN_MAP"}
+    asked = [one for one in fixes if one.anchor_id not in {other.anchor_id for other in lied}]
+    posted = await world.use_cases.anchors.preview(TENANT, key, asked)
+    world.work_off()
+    result = (await world.use_cases.operations.get(TENANT, posted.operation.operation_id)).result
+    assert {one["state"] for one in result["anchors"]} == {"IN_MAP"}
+    assert {one["name"] for one in result["others"]} == {f"{key.name}/anchors/{one.anchor_id}" for one in lied}
+    assert {one["state"] for one in result["others"]} == {"SET_ASIDE"}
+
+
 async def test_a_deleted_session_leaves_no_verdict_on_its_anchors(world):
     made = fleet_in(world, "town", 0.0, sessions=2, submaps=30).fleet
     with_stamps(world)
@@ -173,16 +238,6 @@ async def test_a_merge_leaves_a_map_on_earth_and_brings_the_anchors_of_the_other
     assert error_m(world, made, after) < 1.0
 
 
-def with_stamps(world, map_id: str = "town") -> None:
-    """Each submap of a map has a time of its own."""
-
-    def stamp(uow) -> None:
-        for one in uow.submaps.find(TENANT, map_id=map_id):
-            uow.submaps.replace(replace(one, stamp_ns=1_000 * one.ordinal))
-
-    world.context.transactions.write(stamp).result()
-
-
 async def test_a_fix_lies_on_the_drive_between_the_scans_around_it():
     drive = DrivePoses([10, 20], [tuple(np.eye(4).ravel()), tuple(se3.from_yaw(0.4, (2.0, 0.0, 0.0)).ravel())])
     assert np.allclose(drive.at(10), np.eye(4)) and np.allclose(drive.at(20), pose_matrix(drive.T_odom[1]))
@@ -205,6 +260,24 @@ def test_drives_are_exported_on_earth_where_anchors_hold_the_map(tmp_path):
         client.wait(client.optimise_map("maps/town"))
         (found,) = client.map_versions("maps/town")[-1].summary.georeferences
         assert (found.anchors, found.of_anchors) == (48, 60) and found.covariance.shape == (6, 6)
+        events = list(itertools.islice(client.watch("maps/town", after=0, kinds=["ANCHOR"]), 12))
+        assert {(one.anchor.state, one.anchor.reason) for one in events} == {("SET_ASIDE", "DISAGREES")}
+        watched = [
+            "watch",
+            "--map",
+            "town",
+            "--after",
+            "0",
+            "--kind",
+            "anchor",
+            "--count",
+            "12",
+            "--http",
+            running.http,
+        ]
+        said = CliRunner().invoke(app, watched)
+        assert re.search(r"anchor set aside: s0/wrong-s0-\d+, [23]\d\.\d\d m off, DISAGREES", said.output), said.output
+        client.create_webhook("aside", "https://hooks.example.com/revisit", kinds=["ANCHOR"])
         poses = client.maps.on_earth("maps/town")[found.frame]
         at, origin = poses.pose(np.linalg.inv(found.T_enu_map)), client.get_map("maps/town").origin
         assert (at.latitude_deg, at.longitude_deg) == pytest.approx((origin.latitude_deg, origin.longitude_deg))
@@ -218,11 +291,3 @@ def test_drives_are_exported_on_earth_where_anchors_hold_the_map(tmp_path):
         true = geodesy.geodetic_of_enu(ORIGIN, poses[:, :3, 3])
         north, east = (111_195.0 * (line[:, 1 - axis] - true[:, axis]) for axis in (0, 1))
         assert np.hypot(north, np.cos(np.radians(48.1)) * east).max() < 3.0
-
-
-def sent(one: NewAnchor) -> anchors.NewAnchor:
-    """As the SDK has it."""
-    return anchors.NewAnchor(
-        one.anchor_id, one.kind.value, one.stamp_ns, np.reshape(one.covariance, (3, 3)), geodetic=one.position,
-        offset_m=one.offset_m, T_odom_sensor=one.T_odom_sensor,
-    )  # fmt: skip

@@ -3,18 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable
+from dataclasses import replace
 
 import numpy as np
 
-from revisit.core.geometry import se3
+from revisit.core.geometry import geodesy, se3
 from revisit.core.pose_graph.anchors import Anchor
 from revisit.core.pose_graph.graph import Node
 from revisit.core.pose_graph.optimisation import OptimisedGraph
+from revisit.sdk import anchors as sdk
+from revisit.service.domain.states import AnchorFrame, AnchorKind
+from revisit.service.features.anchors.rules import NewAnchor
 from tests.support.made_up_fleet import Fleet
+from tests.support.records import TENANT
 
 MAST = np.array([0.3, 0.0, 1.2])
 """The antenna in the frame of a submap, metres."""
 JUMP_M = 30.0
+ORIGIN = (48.1, 11.5, 520.0)
+"""Of the world of a fleet on earth."""
 
 
 def fixes(
@@ -54,3 +61,36 @@ def error_m(made: Fleet, answer: OptimisedGraph) -> float:
     placed = [se3.apply(found.T_world_map, answer.T_map_submap[one][:, :3, 3]) for one in made.truth]
     true = [poses[:, :3, 3] for poses in made.truth.values()]
     return float(np.sqrt(np.mean(np.sum((np.concatenate(placed) - np.concatenate(true)) ** 2, axis=1))))
+
+
+def new_anchors(made: Fleet, session: str, sigma_m: float = 1.5) -> list[NewAnchor]:
+    """The fixes of a session as a client has them: one in five reflected, positions on earth."""
+    found = []
+    for one in fixes(made, int(session[1:]), sigma_m, 0.2, sessions=(session,)):
+        T_odom_submap = made.graph.by_session[session].T_odom_submap[one.node.ordinal]
+        earth = tuple(geodesy.geodetic_of_enu(ORIGIN, one.place_world[None])[0].tolist())
+        found.append(
+            NewAnchor(
+                one.name, AnchorKind.GNSS, AnchorFrame.WGS84, 1_000 * one.node.ordinal, earth,
+                tuple(one.covariance.ravel().tolist()), tuple(MAST.tolist()), T_odom_submap,
+            )
+        )  # fmt: skip
+    return found
+
+
+def sent(one: NewAnchor) -> sdk.NewAnchor:
+    """As the SDK has it."""
+    return sdk.NewAnchor(
+        one.anchor_id, one.kind.value, one.stamp_ns, np.reshape(one.covariance, (3, 3)), geodetic=one.position,
+        offset_m=one.offset_m, T_odom_sensor=one.T_odom_sensor,
+    )  # fmt: skip
+
+
+def with_stamps(world, map_id: str = "town") -> None:
+    """Each submap of a map has a time of its own."""
+
+    def stamp(uow) -> None:
+        for one in uow.submaps.find(TENANT, map_id=map_id):
+            uow.submaps.replace(replace(one, stamp_ns=1_000 * one.ordinal))
+
+    world.context.transactions.write(stamp).result()

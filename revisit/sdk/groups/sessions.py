@@ -11,7 +11,7 @@ from revisit.sdk.anchors import ANCHORS_AT_ONCE, NewAnchor
 from revisit.sdk.groups.group import Group
 from revisit.sdk.input_watch import warn_of_session
 from revisit.sdk.names import name_of
-from revisit.sdk.resources import Anchor, Correction, Map, Robot, Session
+from revisit.sdk.resources import Anchor, Correction, Map, Operation, Robot, Session
 
 
 class Sessions(Group):
@@ -69,6 +69,17 @@ class Sessions(Group):
             some: Any = made[start : start + ANCHORS_AT_ONCE]
             posted += map(Anchor.of, self._ask("PostAnchors", parent=parent, anchors=some).anchors)
         return posted
+
+    def preview_anchors(self, session: str | Session, anchors: Iterable[NewAnchor]) -> Operation:
+        """What anchors, at most 200, would do to the map: an operation that keeps nothing.
+
+        Its result has `anchors` (name, state, reason and residual_m of each), `others` (as many of those that the map
+        has and whose state would change, 100 at most), `georeferences`, `mean_change_m` and `max_change_m` (how far
+        submaps would move).
+        """
+        made: Any = [one.message() for one in anchors]
+        asked = self._ask("PreviewAnchors", parent=name_of(session, names.SESSION), anchors=made)
+        return Operation.of(asked.operation)
 
     def anchors(self, session: str | Session) -> builtins.list[Anchor]:
         """The anchors of a session in the order in which they came, with the verdict of the version in force."""

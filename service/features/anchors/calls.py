@@ -1,10 +1,11 @@
-"""Anchors of sessions: post, list and delete."""
+"""Anchors of sessions: post, list and delete them; and ask what they would do."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,19 +14,22 @@ from revisit.core.errors import BadField
 from revisit.core.geometry import se3
 from revisit.core.geometry.se3 import Matrix4
 from revisit.core.pose_graph.anchors import AnchorReason, AnchorState
+from revisit.service.capacity.backlog import same_job
 from revisit.service.domain import limits
 from revisit.service.domain.errors import NotFound
 from revisit.service.domain.identity import SessionKey, TenantId
-from revisit.service.domain.records import AnchorRecord, SessionRecord
-from revisit.service.domain.states import AnchorFrame, SessionState
-from revisit.service.features.anchors.rules import DrivePoses, NewAnchor
+from revisit.service.domain.records import AnchorRecord, MapRecord, SessionRecord
+from revisit.service.domain.states import OperationKind, SessionState
+from revisit.service.features.anchors.rules import AnchorQuestion, DrivePoses, NewAnchor
 from revisit.service.features.audit import calls as audit
 from revisit.service.features.audit.calls import AuditEntry
-from revisit.service.features.graph.anchor_verdicts import anchor_verdicts
+from revisit.service.features.graph.anchor_verdicts import anchor_verdicts, kept_anchors
+from revisit.service.features.graph.anchors import origin_by
 from revisit.service.features.graph.edits import note_edit
 from revisit.service.features.graph.posting import optimise_soon
 from revisit.service.features.resources.call_context import CallContext
 from revisit.service.features.resources.paging import Page, PageRequest, as_it_is
+from revisit.service.features.resources.views import PostedOperation
 from revisit.service.ports.storage import require_map, require_same_content, require_session
 from revisit.service.ports.transactions import UnitOfWork
 
@@ -46,7 +50,7 @@ class AnchorView:
 
 
 class Anchors:
-    """Post, list and delete."""
+    """Post, preview, list and delete."""
 
     def __init__(self, context: CallContext) -> None:
         """Anchors are kept in the storage of the context."""
@@ -58,22 +62,47 @@ class Anchors:
         The map is optimised with them once the session has ended. Raises BadField, also where the scans do not tell the
         pose at a time; NotFound; AlreadyExists for other content; Draining, RateLimited.
         """
+        rows, now_ns = await self._rows(tenant, key, anchors), self._context.clock.wall_ns()
+        return await self._context.storage.write(partial(self._post, tenant=tenant, key=key, rows=rows, now_ns=now_ns))
+
+    async def _rows(self, tenant: TenantId, key: SessionKey, anchors: Sequence[NewAnchor]) -> list[AnchorRecord]:
+        """The rows of anchors to post. Raises as `post`."""
         limits.ANCHORS.validated(len(anchors), "anchors")
         posted = [one.validated() for one in anchors]
         self._context.admission.charge_creation(tenant)
         poses = await self._context.storage.read(partial(_sensor_poses, tenant=tenant, key=key, anchors=posted))
         now_ns = self._context.clock.wall_ns()
-        rows = [one.record(tenant, key, T, now_ns) for one, T in zip(posted, poses, strict=True)]
-        return await self._context.storage.write(partial(self._post, tenant=tenant, key=key, rows=rows, now_ns=now_ns))
+        return [one.record(tenant, key, T, now_ns) for one, T in zip(posted, poses, strict=True)]
+
+    async def preview(self, tenant: TenantId, key: SessionKey, anchors: Sequence[NewAnchor]) -> PostedOperation:
+        """Queue the question of what anchors would do to the map; the same one that waits already is answered.
+
+        Raises as `post`, and WorkersBusy.
+        """
+        rows = [replace(one, created_at_ns=0) for one in await self._rows(tenant, key, anchors)]
+        payload = AnchorQuestion(key.map_id, tuple(rows)).payload()
+        return await self._context.storage.write(partial(self._ask, tenant=tenant, key=key, rows=rows, payload=payload))
+
+    def _ask(
+        self, uow: UnitOfWork, tenant: TenantId, key: SessionKey, rows: Sequence[AnchorRecord], payload: dict[str, Any]
+    ) -> PostedOperation:
+        require_map(uow, tenant, key.map_id, hold=True)
+        for row in rows:
+            _known(uow, row)
+        waiting = same_job(uow, tenant, OperationKind.PREVIEW_ANCHORS, key.name, payload)
+        if waiting is not None:
+            return PostedOperation(waiting, replay=True)
+        posted = self._context.jobs.post(uow, tenant, OperationKind.PREVIEW_ANCHORS, key.name, payload)
+        return PostedOperation(posted, replay=False)
 
     def _post(
         self, uow: UnitOfWork, tenant: TenantId, key: SessionKey, rows: Sequence[AnchorRecord], now_ns: int
     ) -> list[AnchorView]:
         of_map = require_map(uow, tenant, key.map_id, hold=True)
         session = require_session(uow, tenant, key, hold=True)
-        first = next((row for row in rows if row.frame == AnchorFrame.WGS84), None)
-        if of_map.origin is None and first is not None:
-            uow.maps.replace(replace(of_map, origin=first.position))
+        origin = origin_by(of_map, rows)
+        if origin != of_map.origin:
+            uow.maps.replace(replace(of_map, origin=origin))
         _require_room(uow, session, len(rows))
         stored = [_stored(uow, row) for row in rows]
         if session.state == SessionState.FINISHED:
@@ -109,10 +138,14 @@ class Anchors:
 
 def _stored(uow: UnitOfWork, row: AnchorRecord) -> AnchorRecord:
     """The row, added where it is not there. Raises AlreadyExists where one of its id has other content."""
+    return _known(uow, row) or uow.anchors.add(row)
+
+
+def _known(uow: UnitOfWork, row: AnchorRecord) -> AnchorRecord | None:
+    """The stored anchor of this id. Raises AlreadyExists where it has other content."""
     known = uow.anchors.get(TenantId(row.tenant), row.map_id, row.session_id, row.anchor_id)
-    if known is None:
-        return uow.anchors.add(row)
-    require_same_content(known.content_hash, row.content_hash, f"anchor {row.anchor_id}")
+    if known is not None:
+        require_same_content(known.content_hash, row.content_hash, f"anchor {row.anchor_id}")
     return known
 
 
@@ -150,9 +183,22 @@ def _pose_of(drive: DrivePoses, anchor: NewAnchor) -> Matrix4:
 def _anchors(uow: UnitOfWork, after: int, limit: int, *, tenant: TenantId, key: SessionKey) -> list[AnchorView]:
     of_map = require_map(uow, tenant, key.map_id)
     require_session(uow, tenant, key)
-    rows = uow.anchors.find(tenant, after=after, limit=limit, map_id=key.map_id, session_id=key.session_id)
-    version = uow.map_versions.get(tenant, key.map_id, of_map.map_version)
-    known = anchor_verdicts(None if version is None else version.anchors)
+    return _judged(
+        uow, of_map, uow.anchors.find(tenant, after=after, limit=limit, map_id=key.map_id, session_id=key.session_id)
+    )
+
+
+def anchors_seen(uow: UnitOfWork, tenant: TenantId, map_id: str, numbers: Sequence[int]) -> dict[int, AnchorView]:
+    """Those of these anchors of a map (at most 1000) that are there, by number."""
+    of_map, rows = uow.maps.get(tenant, map_id), uow.anchors.numbered(tenant, numbers)
+    return {} if of_map is None else {one.number: one for one in _judged(uow, of_map, [*rows.values()])}
+
+
+def _judged(uow: UnitOfWork, of_map: MapRecord, rows: Sequence[AnchorRecord]) -> list[AnchorView]:
+    """Anchors of a map with the verdicts of the version in force."""
+    version = uow.map_versions.get(of_map.tenant, of_map.map_id, of_map.map_version)
+    data = None if version is None else version.anchors
+    known = anchor_verdicts(kept_anchors(data, [row.number for row in rows]))
     return [_seen(row, *known.get(row.number, (None, None, None))) for row in rows]
 
 

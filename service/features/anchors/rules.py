@@ -5,6 +5,7 @@ from __future__ import annotations
 from bisect import bisect_left
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -79,6 +80,32 @@ class NewAnchor:
             heading_sigma_rad=self.heading_sigma_rad,
             created_at_ns=now_ns,
         )
+
+
+@dataclass(frozen=True)
+class AnchorQuestion:
+    """The question of what anchors would do to a map: the payload of a job."""
+
+    map_id: str
+    anchors: tuple[AnchorRecord, ...]
+
+    def payload(self) -> dict[str, Any]:
+        """As JSON."""
+        return {"map_id": self.map_id, "anchors": [_as_json(one) for one in self.anchors]}
+
+    @classmethod
+    def of(cls, payload: dict[str, Any]) -> AnchorQuestion:
+        """The inverse of `payload`."""
+        return cls(str(payload["map_id"]), tuple(_from_json(one) for one in payload["anchors"]))
+
+
+def _as_json(record: AnchorRecord) -> dict[str, Any]:
+    return {name: list(value) if isinstance(value, tuple) else value for name, value in vars(record).items()}
+
+
+def _from_json(fields: dict[str, Any]) -> AnchorRecord:
+    values: dict[str, Any] = {name: tuple(it) if isinstance(it, list) else it for name, it in fields.items()}
+    return AnchorRecord(**values)
 
 
 def _require_covariance(numbers: Sequence[float]) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator, Iterable
+from collections.abc import AsyncIterator, Iterable, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 
@@ -14,6 +14,7 @@ from revisit.service.domain.events import EventRecord
 from revisit.service.domain.identity import TenantId
 from revisit.service.domain.records import JobRecord
 from revisit.service.domain.states import EventKind
+from revisit.service.features.anchors.calls import AnchorView, anchors_seen
 from revisit.service.features.loops.calls import LoopClosureView
 from revisit.service.features.optimisation.calls import MapVersionView, version_seen
 from revisit.service.features.resources.call_context import CallContext
@@ -44,6 +45,7 @@ class EventView:
     operation: JobRecord | None = None
     map_version: MapVersionView | None = None
     retention: RetentionReport | None = None
+    anchor: AnchorView | None = None
 
 
 @dataclass(frozen=True)
@@ -112,10 +114,21 @@ def _page(uow: UnitOfWork, tenant: TenantId, map_id: str, seen: int, last: int) 
 
 
 def events_of(uow: UnitOfWork, rows: Iterable[EventRecord]) -> list[EventView]:
-    """The events of rows, in their order: the last of each resource, none of one that is gone."""
-    newest = {(row.kind, row.subject): row for row in rows}
-    events = [_event_of(uow, row) for row in sorted(newest.values(), key=lambda row: row.number)]
-    return [event for event in events if event is not None]
+    """The events of rows of one map, in their order: the last of each resource, none of one that is gone."""
+    newest = sorted({(row.kind, row.subject): row for row in rows}.values(), key=lambda row: row.number)
+    told = [_event_of(uow, row) for row in newest if row.kind != EventKind.ANCHOR]
+    told += _of_anchors(uow, [row for row in newest if row.kind == EventKind.ANCHOR])
+    return sorted((event for event in told if event is not None), key=lambda event: event.number)
+
+
+def _of_anchors(uow: UnitOfWork, rows: Sequence[EventRecord]) -> list[EventView | None]:
+    """The events of anchors of one map, whose verdicts are read together."""
+    if not rows:
+        return []
+    tenant, map_id = rows[0].tenant, rows[0].map_id
+    known = anchors_seen(uow, tenant, map_id, [int(row.subject) for row in rows])
+    seen = [(row, known.get(int(row.subject))) for row in rows]
+    return [EventView(row.number, EventKind.ANCHOR, map_id, anchor=one) for row, one in seen if one is not None]
 
 
 def _event_of(uow: UnitOfWork, row: EventRecord) -> EventView | None:

@@ -46,6 +46,19 @@ def anchor_verdicts(data: bytes | None) -> dict[int, tuple[AnchorState, AnchorRe
     }
 
 
+def changed_anchors(before: bytes | None, after: bytes | None) -> tuple[frozenset[int], frozenset[int]]:
+    """The anchors, by number, that one of two versions sets aside and the other does not; and those that hold one of
+    both alone.
+    """
+    here, there = (np.frombuffer(data or b"", _ANCHOR) for data in (before, after))
+
+    def of_one(state: AnchorState) -> frozenset[int]:
+        one, other = (rows["number"][rows["state"] == _STATES.index(state)] for rows in (here, there))
+        return frozenset(np.setxor1d(one, other).tolist())
+
+    return of_one(AnchorState.SET_ASIDE), of_one(AnchorState.IN_MAP)
+
+
 def kept_anchors(data: bytes | None, held: Collection[int]) -> bytes | None:
     """The verdicts on those anchors that are still there, by number."""
     rows = np.frombuffer(data or b"", _ANCHOR)

@@ -21,16 +21,18 @@ from revisit.service.ports.transactions import UnitOfWork
 Array64 = NDArray[np.float64]
 
 
-def read_anchors(uow: UnitOfWork, record: MapRecord, placed: Iterable[PlacedSubmap]) -> tuple[TrackAnchor, ...]:
-    """The anchors of a map whose sessions have submaps: each on the submap nearest in time."""
-    rows = uow.anchors.find(record.tenant, map_id=record.map_id)
+def read_anchors(
+    uow: UnitOfWork, record: MapRecord, placed: Iterable[PlacedSubmap], more: Sequence[AnchorRecord] = ()
+) -> tuple[TrackAnchor, ...]:
+    """The anchors of a map, and `more`, whose sessions have submaps: each on the submap nearest in time."""
+    rows = [*uow.anchors.find(record.tenant, map_id=record.map_id), *more]
     if not rows:
         return ()
     numbers = {one.session_id: one.number for one in uow.sessions.find(record.tenant, map_id=record.map_id)}
     drives: dict[int, list[PlacedSubmap]] = {}
     for one in placed:
         drives.setdefault(one.session_number, []).append(one)
-    places = world_places(rows, record.origin)
+    places = world_places(rows, origin_by(record, rows))
     return tuple(
         track_anchor(row, place, _nearest(drives[numbers[row.session_id]], row.stamp_ns))
         for row, place in zip(rows, places, strict=True)
@@ -40,6 +42,12 @@ def read_anchors(uow: UnitOfWork, record: MapRecord, placed: Iterable[PlacedSubm
 
 def _nearest(drive: Sequence[PlacedSubmap], stamp_ns: int) -> PlacedSubmap:
     return min(drive, key=lambda one: abs(one.stamp_ns - stamp_ns))
+
+
+def origin_by(record: MapRecord, rows: Iterable[AnchorRecord]) -> tuple[float, float, float] | None:
+    """The origin of a map: its own, else the first place on earth of these anchors of it; None without any."""
+    on_earth = (row.position for row in rows if row.frame == AnchorFrame.WGS84)
+    return next(on_earth, None) if record.origin is None else record.origin
 
 
 def world_places(rows: Sequence[AnchorRecord], origin: tuple[float, float, float] | None) -> Array64:

@@ -14,7 +14,7 @@ from revisit.core.geometry.se3 import pose_matrix
 from revisit.core.pose_graph.graph import OdometryModel
 from revisit.service.domain.identity import TenantId
 from revisit.service.domain.policy import Policy
-from revisit.service.domain.records import LoopRecord, MapRecord, SessionPosesRecord, SessionRecord
+from revisit.service.domain.records import AnchorRecord, LoopRecord, MapRecord, SessionPosesRecord, SessionRecord
 from revisit.service.domain.states import LoopState
 from revisit.service.features.graph.anchors import read_anchors
 from revisit.service.ports.map_optimiser import AUDITED, MapGraph, SessionTrack, TrackLoop
@@ -42,8 +42,10 @@ class MapTask:
     audited: Mapping[int, int] = field(default_factory=dict)
 
 
-def read_task(uow: UnitOfWork, policy: Policy, tenant: TenantId, map_id: str) -> MapTask | None:
-    """The map as it is now, None where it is gone."""
+def read_task(
+    uow: UnitOfWork, policy: Policy, tenant: TenantId, map_id: str, more: Sequence[AnchorRecord] = ()
+) -> MapTask | None:
+    """The map as it is now, with `more` anchors; None where it is gone."""
     record = uow.maps.get(tenant, map_id)
     if record is None:
         return None
@@ -51,7 +53,7 @@ def read_task(uow: UnitOfWork, policy: Policy, tenant: TenantId, map_id: str) ->
     placed = uow.submaps.placed(tenant, map_id)
     tracks = _tracks(placed, sessions)
     loops, of_graph = _accepted(uow, tenant, map_id)
-    fixed = read_anchors(uow, record, placed)
+    fixed = read_anchors(uow, record, placed, more)
     graph = MapGraph(tracks, of_graph, policy.for_map(record).submap.tau, fixed=fixed)
     before = uow.session_poses.find(tenant, map_id=map_id, version=record.map_version)
     version = uow.map_versions.get(tenant, map_id, record.map_version)

@@ -19,6 +19,7 @@ from revisit.service.domain.states import AnchorFrame, LoopEventKind, LoopState,
 from revisit.service.failpoints import failpoint
 from revisit.service.features.audit import calls as audit
 from revisit.service.features.audit.calls import AuditEntry
+from revisit.service.features.graph.anchors import origin_by
 from revisit.service.features.graph.posting import optimise_soon
 from revisit.service.features.graph.reading import MapTask, with_evidence
 from revisit.service.features.loops.claims import verdict_evidence
@@ -139,8 +140,8 @@ class MergeCommit:
         for one in on_earth:
             uow.anchors.add(replace(one, map_id=copy.map_id, session_id=copy.session_id, number=0))
         current = uow.maps.get(target.tenant, target.map_id)
-        if on_earth and current is not None and current.origin is None:
-            uow.maps.replace(replace(current, origin=on_earth[0].position))
+        if current is not None and current.origin is None and on_earth:
+            uow.maps.replace(replace(current, origin=origin_by(current, on_earth)))
 
     def _copy_submaps(self, uow: UnitOfWork, target: MapRecord, copies: _Copies) -> None:
         for submap in self.proposal.task.source.submaps:

@@ -23,7 +23,9 @@ from revisit.service.ports.transactions import UnitOfWork
 
 _PAUSE_S = (0.02, 0.25)
 
-CANCELLABLE = (OperationKind.OPTIMISE_MAP, OperationKind.MERGE_MAP, OperationKind.RECALL_LOOPS)
+CANCELLABLE = (
+    OperationKind.OPTIMISE_MAP, OperationKind.MERGE_MAP, OperationKind.RECALL_LOOPS, OperationKind.PREVIEW_ANCHORS,
+)  # fmt: skip
 """The kinds of operations that look, while they run, whether they are to end."""
 
 

@@ -31,7 +31,7 @@ from revisit.service.features.graph.session_poses import (
     hash_of_version,
     unpack_loops,
 )
-from revisit.service.features.optimisation.rows import MAP_REVERTED, forget_versions, judge_loops
+from revisit.service.features.optimisation.rows import MAP_REVERTED, forget_versions, judge_loops, tell_anchors
 from revisit.service.features.resources.call_context import CallContext
 from revisit.service.features.resources.paging import Page, PageRequest, as_it_is
 from revisit.service.features.resources.views import PostedOperation
@@ -137,6 +137,7 @@ def restore_version(
     restored = replace(current, map_version=current.map_version + 1)
     wanted = _without_poses(current, now_ns) if version == 0 else _require_version(uow, current, version)
     row = _restore(uow, wanted, restored.map_version, now_ns)
+    tell_anchors(uow, current, wanted.anchors)
     accepted = uow.loops.find(current.tenant, map_id=current.map_id, state=LoopState.ACCEPTED.value)
     judge_loops(uow, accepted, unpack_loops(wanted.loops), restored.map_version, now_ns)
     uow.maps.replace(restored)

@@ -5,17 +5,18 @@ from __future__ import annotations
 from functools import partial
 
 from revisit.service.domain.errors import Unavailable
+from revisit.service.domain.identity import TenantId
 from revisit.service.domain.states import LoopState
 from revisit.service.failpoints import failpoint
 from revisit.service.features.corrections.job import EarlyCorrections
 from revisit.service.features.graph.join_audit import JoinAudit
-from revisit.service.features.graph.reading import read_task
+from revisit.service.features.graph.reading import MapTask, read_task
 from revisit.service.features.operations.progress import OperationCancelled, Progress
 from revisit.service.features.optimisation.rows import MAP_DELETED, VersionCommit
 from revisit.service.ports.job_context import JobContext
 from revisit.service.ports.job_queue import CANCELLED, Lease
 from revisit.service.ports.map_merger import MapMerger
-from revisit.service.ports.map_optimiser import MapOptimiser
+from revisit.service.ports.map_optimiser import MapOptimiser, OptimisedMap
 from revisit.service.ports.recogniser import PlaceKeeper
 
 NO_SUBMAPS = {"outcome": "the map holds no submaps"}
@@ -57,15 +58,23 @@ class MapOptimisation:
         Raises Unavailable where the graph changes all the time.
         """
         tenant, map_id = lease.job.tenant, str(lease.job.payload["map_id"])
-        self._early.release(tenant, map_id)
-        accepted = {"map_id": map_id, "state": LoopState.ACCEPTED.value}
-        if self._context.transactions.read(lambda uow: uow.loops.count(tenant, **accepted)).result() >= LARGE_MAP_LOOPS:
-            self._places.release()
+        self.make_room(tenant, map_id)
         try:
             self._run(lease, Progress(self._context.transactions, self._context.clock, lease))
         except OperationCancelled:
             self._context.complete(lease, CANCELLED)
         self._early.update(tenant, map_id)
+
+    def make_room(self, tenant: TenantId, map_id: str) -> None:
+        """Give memory back for the solution of a map."""
+        self._early.release(tenant, map_id)
+        accepted = {"map_id": map_id, "state": LoopState.ACCEPTED.value}
+        if self._context.transactions.read(lambda uow: uow.loops.count(tenant, **accepted)).result() >= LARGE_MAP_LOOPS:
+            self._places.release()
+
+    def solved(self, task: MapTask, progress: Progress) -> OptimisedMap:
+        """The solution of a map, which the next version would have. Raises as `progress` does."""
+        return self._audit.solved(task, progress)
 
     def _run(self, lease: Lease, progress: Progress) -> None:
         map_id = str(lease.job.payload["map_id"])
@@ -77,7 +86,7 @@ class MapOptimisation:
                 self._context.complete(lease, MAP_DELETED if task is None else NO_SUBMAPS)
                 return
             failpoint("optimise.after_read")
-            optimised = self._audit.solved(task, progress)
+            optimised = self.solved(task, progress)
             failpoint("optimise.after_solution")
             progress("COMMIT")
             now_ns = self._context.clock.wall_ns()

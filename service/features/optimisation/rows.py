@@ -12,12 +12,13 @@ from numpy.typing import NDArray
 
 from revisit.core.geometry.se3 import pose_row
 from revisit.core.pose_graph.graph import GraphState
+from revisit.service.domain.events import EventRecord
 from revisit.service.domain.identity import SessionKey, TenantId
 from revisit.service.domain.policy import Policy
 from revisit.service.domain.records import LoopRecord, MapRecord, MapVersionRecord, SessionPosesRecord
-from revisit.service.domain.states import LoopEventKind
+from revisit.service.domain.states import AnchorKind, EventKind, LoopEventKind
 from revisit.service.failpoints import failpoint
-from revisit.service.features.graph.anchor_verdicts import pack_anchors
+from revisit.service.features.graph.anchor_verdicts import changed_anchors, pack_anchors
 from revisit.service.features.graph.anchors import stored_frames
 from revisit.service.features.graph.map_frames import frame_name
 from revisit.service.features.graph.map_jobs import recall_loops
@@ -99,7 +100,7 @@ def add_version(
     now_ns: int,
 ) -> int:
     """Store the poses of a task's tracks and the verdicts on its loops as the version in force; its number."""
-    version, packed = current.map_version + 1, pack_loops(optimised.loops)
+    version, packed, fixed = current.map_version + 1, pack_loops(optimised.loops), pack_anchors(optimised.anchors)
     uow.map_versions.add(
         MapVersionRecord(
             tenant=current.tenant,
@@ -111,9 +112,10 @@ def add_version(
             loops=packed,
             loops_hash=hash_of_loops(packed),
             created_at_ns=now_ns,
-            anchors=pack_anchors(optimised.anchors),
+            anchors=fixed,
         )
     )
+    tell_anchors(uow, current, fixed)
     failpoint("optimise.after_version")
     for row in _poses(current, task, optimised.tracks, version, now_ns):
         uow.session_poses.add(row)
@@ -163,6 +165,21 @@ def judge_loops(
         changes.setdefault(state, []).append((loop, change))
     for state, some in changes.items():
         change_loops(uow, some, state)
+
+
+def tell_anchors(uow: UnitOfWork, current: MapRecord, after: bytes | None) -> None:
+    """Record the anchors on which the next version of a map has another verdict than the one in force, as events.
+
+    That one is set aside, or no longer is. That one holds the map, or no longer does, where it is no fix: of these
+    there are thousands, and the version tells how many hold.
+    """
+    version = uow.map_versions.get(current.tenant, current.map_id, current.map_version)
+    aside, held = changed_anchors(None if version is None else version.anchors, after)
+    surveyed = set[int]()
+    for kind in (AnchorKind.CONTROL_POINT, AnchorKind.KNOWN_POSE) if held else ():
+        surveyed |= uow.anchors.distinct(current.tenant, "number", map_id=current.map_id, kind=kind.value)
+    for number in sorted(aside | held & surveyed):
+        uow.events.record(EventRecord(current.tenant, current.map_id, EventKind.ANCHOR.value, str(number)))
 
 
 def forget_versions(uow: UnitOfWork, tenant: TenantId, map_id: str, last: int) -> None:

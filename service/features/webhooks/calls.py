@@ -22,7 +22,9 @@ from revisit.service.ports.transactions import UnitOfWork
 SECRET_PREFIX = "whsec_"
 """The beginning of a secret by Standard Webhooks, which scanners of repositories know."""
 
-TOLD_OF = (EventKind.LOOP_CLOSURE, EventKind.OPERATION, EventKind.MAP_VERSION, EventKind.RETENTION)
+TOLD_OF = (
+    EventKind.LOOP_CLOSURE, EventKind.OPERATION, EventKind.MAP_VERSION, EventKind.RETENTION, EventKind.ANCHOR,
+)  # fmt: skip
 """The kinds that a webhook may be kept to; FORGOTTEN comes in any case."""
 
 

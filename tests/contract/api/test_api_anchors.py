@@ -55,6 +55,19 @@ def test_a_deleted_anchor_is_gone(client, session):
         client.sessions.delete_anchor(posted)
 
 
+def test_a_preview_of_anchors_is_an_operation_that_keeps_none(client, session):
+    asked = client.sessions.preview_anchors(session, [POINT, FIX])
+    assert (asked.kind, asked.subject) == ("PREVIEW_ANCHORS", session.name)
+    done = client.wait(asked)
+    assert done.result == {"outcome": "the map holds no submaps"}
+    assert client.sessions.anchors(session) == []
+    client.sessions.post_anchors(session, [FIX])
+    with pytest.raises(AlreadyExists):
+        client.sessions.preview_anchors(session, [replace(FIX, stamp_ns=5)])
+    with pytest.raises(InvalidArgument):
+        client.sessions.preview_anchors(session, [replace(FIX, T_odom_sensor=None)])
+
+
 @pytest.mark.parametrize(
     ("change", "field"),
     [

@@ -94,19 +94,17 @@ def fill(client):
 MAP, SESSION, VERSION = "maps/{map}", "maps/{map}/sessions/{session}", "maps/{map}/versions/{version}"
 SUBMAP, LOOP = SESSION + "/submaps/{submap}", MAP + "/loopClosures/{loop}"
 NOTE = {"note": "mine"}
+ANCHOR = {
+    "anchor_id": "new",
+    "kind": "CONTROL_POINT",
+    "local_m": "0,0,0",
+    "T_odom_sensor": POSE,
+    "covariance_enu": np.eye(3).ravel().tolist(),
+}
 BODIES = {
     "/sessions": {"session_id": "new"},
-    "/anchors": {
-        "anchors": [
-            {
-                "anchor_id": "new",
-                "kind": "CONTROL_POINT",
-                "local_m": "0,0,0",
-                "T_odom_sensor": POSE,
-                "covariance_enu": np.eye(3).ravel().tolist(),
-            }
-        ]
-    },
+    "/anchors": {"anchors": [ANCHOR]},
+    "/anchors:preview": {"anchors": [ANCHOR]},
     **dict.fromkeys(("}:accept", "}:reject", "loop_id}:revert"), NOTE),
     ":distances": {"points_m": [0.0, 0.0, 0.0]},
     ":publish": {},
@@ -186,6 +184,7 @@ OWN = {
     "ListLoopClosureEvents": {"parent": LOOP},
     "CreateLoopClosure": {"query": SESSION + "/submaps/b", "match": SESSION + "/submaps/a"},
     "PostAnchors": {"anchors": [replace(DOOR, anchor_id="new").message()]},
+    "PreviewAnchors": {"anchors": [replace(DOOR, anchor_id="new").message()]},
     "MergeMap": {"source": "maps/annex"},
     "RevertMap": {"version": 1},
     "StreamScans": {"open": {"session": SESSION}},
