@@ -1,6 +1,7 @@
 // The page: one map of the service, live. What it holds is in `model`; `render` shows it.
 "use strict";
 
+import { AnchorList } from "/anchors.js";
 import { KeyNeeded, Refused, hasKey, read, readAll, useKey } from "/api.js";
 import { colouring } from "/colouring.js";
 import { sessionColour } from "/colours.js";
@@ -48,6 +49,7 @@ let watch = null;
 let tools = null;
 let versions = null;
 let drives = null;
+let anchors = null;
 const pair = new PairView({ onStep: stepPair, onClose: () => select(model.selected), actionsOf: (loop) => actionsOf(loop, taken) });
 
 // ---------------------------------------------------------------------------------------------- reading
@@ -69,6 +71,7 @@ function forgetMap() {
   watch?.stop();
   versions?.clear();
   drives?.clear();
+  anchors?.clear();
   tools?.use("none");
   Object.assign(model, { map: null, missing: "", rejectedRead: false, selected: null, listed: LISTED_AT_ONCE, faults: [] });
   for (const held of [model.sessions, model.submaps, model.loops, model.operations, model.hidden]) held.clear();
@@ -93,6 +96,7 @@ async function readMap() {
   for (const operation of [...running, ...failed]) if (ofMap(operation)) model.operations.set(operation.name, operation);
   await Promise.all([readWhyNoLoops(), readFaults(), versions.show(name)]);
   drives.show(versions.inForce);
+  anchors.show(versions.inForce);
   if (model.states.has("rejected")) await readRejected();
 }
 
@@ -141,10 +145,13 @@ function take(event) {
     if (event.operation.subject.includes("/submaps/")) stale.add(event.operation.subject);
   }
   // With a new version of the map every submap may lie elsewhere.
+  if (event.kind === "ANCHOR") judgedAgain();
   if (event.kind === "MAP_VERSION") readMap().then(renderSoon, tellError);
   catchUp();
   renderSoon();
 }
+
+const judgedAgain = soon(() => anchors.changed(), 250);
 
 const catchUp = soon(async () => {
   const names = [...stale];
@@ -217,6 +224,7 @@ function renderStage(loops, refit) {
       colouringOf: colouringNow,
     });
     renderFaults();
+    anchors?.draw();
     tellLegend(view.colouring);
   }
   Object.assign(document.body.dataset, { submaps, drawnSubmaps: view?.places.size ?? 0, drawnLoops: view?.drawnLoops ?? 0, listedLoops: loops.length });
@@ -813,6 +821,12 @@ try {
 }
 versions = new Versions({ view, onChanged: () => readMap().then(renderSoon, tellError) });
 drives = new DriveChanges({ view, frame: () => model.frame });
+anchors = new AnchorList({
+  view,
+  sessions: () => [...model.sessions.keys()],
+  submaps: () => [...model.submaps.values()],
+  frame: () => model.frame,
+});
 tools = new Tools({ view, mapName: () => model.map, onJoined: joined });
 connect();
 run();

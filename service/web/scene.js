@@ -56,6 +56,7 @@ const LINES = {
   rejected: { colour: "--rejected", linewidth: 1, opacity: 0.45, dashed: true },
 };
 
+const OF_ANCHORS = { IN_MAP: "--good", SET_ASIDE: "--failed", NOT_ALIGNED: "--ambiguous", STATE_UNSPECIFIED: "--faint" };
 const OF_CHANGES = { VANISHED: "--failed", APPEARED: "--good", MOVED: "--mark", BACK: "--ambiguous" };
 
 /** The twelve edges of the box of a change, and the way that a thing has moved: x, y, z of both ends of each. */
@@ -90,10 +91,11 @@ export class MapView {
     this.rulers = new THREE.Group();
     this.changes = new THREE.Group();
     this.things = new THREE.Group();
+    this.anchors = new THREE.Group();
     this.dots = null;
     this.faultMarks = [];
     this.grid = null;
-    this.scene.add(this.surfaces, this.paths, this.loops, this.changes, this.things, this.marks, this.rulers);
+    this.scene.add(this.surfaces, this.paths, this.loops, this.changes, this.things, this.anchors, this.marks, this.rulers);
     this.scene.add(new THREE.HemisphereLight("#ffffff", "#66727e", 1.5));
     this.sun = new THREE.DirectionalLight("#ffffff", 1.5);
     this.sun.position.set(0.9, -1.2, 0.9);
@@ -262,10 +264,10 @@ export class MapView {
   }
 
   /** Rings of so many pixels at points. */
-  rings(at, pixels) {
+  rings(at, pixels, colour = "--mark") {
     const uniforms = { pixels: { value: this.renderer.getPixelRatio() }, paper: { value: new THREE.Color(themed("--stage")) } };
     const geometry = new THREE.BufferGeometry();
-    const tint = new THREE.Color(themed("--mark"));
+    const tint = new THREE.Color(themed(colour));
     geometry.setAttribute("position", floats(at.flatMap((point) => point.toArray()), 3));
     geometry.setAttribute("tint", floats(at.flatMap(() => tint.toArray()), 3));
     geometry.setAttribute("shape", floats(at.map(() => 1), 1));
@@ -386,6 +388,21 @@ export class MapView {
     this.draw();
   }
 
+  /** Draw anchors: [{ state, at, to }], where the map has the point of each, and where the world outside says it is. */
+  showAnchors(anchors) {
+    clear(this.anchors);
+    for (const [state, colour] of Object.entries(OF_ANCHORS)) {
+      const own = anchors.filter((one) => one.state === state);
+      if (!own.length) continue;
+      const material = this.material(themed(colour), 2);
+      material.depthTest = false;
+      const lines = new LineSegments2(new LineSegmentsGeometry().setPositions(own.flatMap(({ at, to }) => [...at.toArray(), ...to.toArray()])), material);
+      lines.renderOrder = 4;
+      this.anchors.add(lines, this.rings(own.map(({ to }) => to), 11, colour));
+    }
+    this.draw();
+  }
+
   /** T_target_source of two submaps as they are drawn: x,y,z,qx,qy,qz,qw. */
   relative(target, source) {
     const [t, q, s] = [new THREE.Vector3(), new THREE.Quaternion(), new THREE.Vector3()];
@@ -495,7 +512,7 @@ export class MapView {
     this.renderer.setClearColor(themed("--stage"));
     this.camera.aspect = width / height;
     this.camera.updateProjectionMatrix();
-    for (const group of [this.paths, this.loops, this.marks, this.rulers, this.changes, this.things]) {
+    for (const group of [this.paths, this.loops, this.marks, this.rulers, this.changes, this.things, this.anchors]) {
       for (const { material } of group.children) material.resolution?.set(width, height);
     }
     this.paint();

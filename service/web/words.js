@@ -51,7 +51,18 @@ export function verdictOf(loop) {
 
 const percent = (share) => `${Math.round(100 * share)} %`;
 
-function metres(length) {
+const ANCHOR_REASONS = {
+  DISAGREES: "drive and others put it elsewhere",
+  TOO_FEW: "fewer than four anchors agree",
+  NOT_SPREAD: "they lie too near each other to tell the heading of the map",
+  MOSTLY_DISAGREE: "fewer than half agree",
+};
+
+/** Why an anchor does not hold the map, in words. */
+export const anchorReason = (reason) => ANCHOR_REASONS[reason] ?? reason.toLowerCase().replaceAll("_", " ");
+
+/** A length in words: 12 cm, 3.4 m, 31 m. */
+export function metres(length) {
   if (length < 0.995) return `${Math.max(1, Math.round(100 * length))} cm`;
   return `${length.toFixed(length < 10 ? 1 : 0)} m`;
 }

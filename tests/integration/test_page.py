@@ -20,6 +20,7 @@ from tests.support.browser import Page, browser
 from tests.support.credentials import a_key
 from tests.support.fleet_in_service import fleet_in, slipped_fleet_in
 from tests.support.live_service import live_service
+from tests.support.made_up_anchors import new_anchors, sent, with_stamps
 from tests.support.page_town import EACH_BY_ITSELF, fill
 from tests.support.patience import eventually, in_time
 from tests.support.places import places_of
@@ -97,6 +98,36 @@ def test_what_changed_between_the_drives_is_listed_and_drawn_between_two_dates(c
     shown.tab.locator("#changes-until").fill("")
     eventually(lambda: shown.data("drawn-things") == str(len(found)))
     shown.tab.locator("#changes summary").click()
+    assert shown.complaints == []
+    shown.tab.close()
+
+
+def test_anchors_are_listed_with_their_verdicts_and_drawn_with_their_residuals(chromium, service):
+    made = fleet_in(service.world, "on-earth", sessions=2, submaps=30)
+    with_stamps(service.world, "on-earth")
+    with Client(service.http) as client:
+        for session in made.fleet.truth:
+            client.sessions.post_anchors(f"{made.name}/sessions/{session}", map(sent, new_anchors(made.fleet, session)))
+        client.wait(client.optimise_map(made.name))
+    shown = Page(chromium, service.http, f"/#{made.name}")
+    shown.drawn()
+    assert shown.data("drawn-anchors") == "0"
+    shown.tab.locator("#anchors summary").click()
+    shown.until("drawn-anchors", 60)
+    assert shown.tab.locator("#anchors-count").inner_text() == "48 of 60 hold the map"
+    rows = [one.inner_text() for one in shown.tab.locator("#anchor-list li").all()]
+    assert [("set aside" in one) for one in rows] == [True] * 12 + [False] * 48
+    assert re.match(r"wrong-s\d-\d+: set aside, [23]\d m off\n+s\d · drive and others put it elsewhere", rows[0])
+    drawn = shown.tab.evaluate("""() => revisitPage.view().anchors.children
+        .filter(one => one.isLineSegments2).map(({ geometry }) => geometry.attributes.instanceStart.count)""")
+    assert sorted(drawn) == [12, 48]
+    with Client(service.http) as client:
+        name = rows[0].partition(":")[0]
+        client.sessions.delete_anchor(f"{made.name}/sessions/{name.split('-')[1]}/anchors/{name}")
+        client.wait(client.optimise_map(made.name))
+    shown.until("drawn-anchors", 59)
+    shown.tab.locator("#anchors summary").click()
+    shown.until("drawn-anchors", 0)
     assert shown.complaints == []
     shown.tab.close()
 
