@@ -5,7 +5,7 @@ from __future__ import annotations
 from functools import partial
 from typing import Any
 
-from revisit.service.domain.errors import NotFound, Unavailable
+from revisit.service.domain.errors import NotFound
 from revisit.service.domain.identity import TenantId
 from revisit.service.domain.records import MapTileRecord
 from revisit.service.failpoints import failpoint
@@ -17,6 +17,7 @@ from revisit.service.features.changes.rows import (
     stored_changes,
 )
 from revisit.service.features.operations.progress import OperationCancelled, Progress
+from revisit.service.features.operations.unchanged import unchanged
 from revisit.service.features.tiles.rows import Tiling, planned, read_tiling
 from revisit.service.ports.blobs import NEURAL_MAP_BLOB, TILE_BLOB
 from revisit.service.ports.job_context import JobContext
@@ -27,9 +28,6 @@ from revisit.service.ports.transactions import UnitOfWork
 
 PORTION_MS = 30_000
 """A job looks for so long, then leaves the rest to the next one: other jobs go between."""
-
-_READINGS = 3
-"""Attempts at a portion when its submaps change meanwhile."""
 
 
 class ChangeFinding:
@@ -44,13 +42,10 @@ class ChangeFinding:
         """Compare the next squares of a version and store what was found. Raises NotFound, Unavailable."""
         progress = Progress(self._context.transactions, self._context.clock, lease)
         try:
-            for _ in range(_READINGS):
-                if self._portion(lease, progress):
-                    return
+            message = "the submaps of the map were changed again and again while they were compared"
+            unchanged(partial(self._portion, lease, progress), message)
         except OperationCancelled:
             self._context.complete(lease, CANCELLED)
-            return
-        raise Unavailable("the submaps of the map were changed again and again while they were compared")
 
     def _portion(self, lease: Lease, progress: Progress) -> bool:
         """Whether the job has ended by a portion; not where submaps have changed meanwhile."""

@@ -13,7 +13,6 @@ from revisit.core.geometry import se3
 from revisit.core.geometry.se3 import Matrix4
 from revisit.core.merge.evidence import MergeEvidence, loops_refusal, surfaces_refusal
 from revisit.core.pair_verdict import InitialPose, PairVerdict, RejectedLoop, RejectionReason, VerifiedLoop
-from revisit.service.domain.errors import Unavailable
 from revisit.service.domain.identity import TenantId
 from revisit.service.domain.records import SubmapRecord
 from revisit.service.failpoints import failpoint
@@ -31,6 +30,7 @@ from revisit.service.features.merging.rules import (
     track_loop,
 )
 from revisit.service.features.operations.progress import OperationCancelled, Progress
+from revisit.service.features.operations.unchanged import unchanged
 from revisit.service.ports.blobs import NEURAL_MAP_BLOB
 from revisit.service.ports.job_context import JobContext
 from revisit.service.ports.job_queue import CANCELLED, Lease
@@ -43,9 +43,6 @@ CANDIDATES = 3
 
 MOST_PAIRS = 1_000
 """Pairs of submaps that are verified, the likest first: 0.04 s of a core each."""
-
-_READINGS = 3
-"""How often two maps are read again that have changed while they were compared."""
 
 
 @dataclass(frozen=True)
@@ -89,15 +86,10 @@ class MapMerging:
         """
         run = _Run.of(self._context, lease)
         try:
-            for _ in range(_READINGS):
-                if self._ended(run):
-                    run.verdicts.forget()
-                    return
+            unchanged(partial(self._ended, run), "the maps were changed again and again while they were compared")
         except OperationCancelled:
             self._context.complete(lease, CANCELLED)
-            run.verdicts.forget()
-            return
-        raise Unavailable("the maps were changed again and again while they were compared")
+        run.verdicts.forget()
 
     def _ended(self, run: _Run) -> bool:
         """One reading of both maps: whether the job has ended by it."""

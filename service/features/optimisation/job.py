@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from functools import partial
 
-from revisit.service.domain.errors import Unavailable
 from revisit.service.domain.identity import TenantId
 from revisit.service.domain.states import LoopState
 from revisit.service.failpoints import failpoint
@@ -12,6 +11,7 @@ from revisit.service.features.corrections.job import EarlyCorrections
 from revisit.service.features.graph.join_audit import JoinAudit
 from revisit.service.features.graph.reading import MapTask, read_task
 from revisit.service.features.operations.progress import OperationCancelled, Progress
+from revisit.service.features.operations.unchanged import unchanged
 from revisit.service.features.optimisation.rows import MAP_DELETED, VersionCommit
 from revisit.service.ports.job_context import JobContext
 from revisit.service.ports.job_queue import CANCELLED, Lease
@@ -60,7 +60,9 @@ class MapOptimisation:
         tenant, map_id = lease.job.tenant, str(lease.job.payload["map_id"])
         self.make_room(tenant, map_id)
         try:
-            self._run(lease, Progress(self._context.transactions, self._context.clock, lease))
+            progress = Progress(self._context.transactions, self._context.clock, lease)
+            message = "the map was changed again and again while it was optimised"
+            unchanged(partial(self._ended, lease, progress), message, _READINGS)
         except OperationCancelled:
             self._context.complete(lease, CANCELLED)
         self._early.update(tenant, map_id)
@@ -76,21 +78,18 @@ class MapOptimisation:
         """The solution of a map, which the next version would have. Raises as `progress` does."""
         return self._audit.solved(task, progress)
 
-    def _run(self, lease: Lease, progress: Progress) -> None:
+    def _ended(self, lease: Lease, progress: Progress) -> bool:
+        """One reading of the graph: whether the job has ended by it."""
         map_id = str(lease.job.payload["map_id"])
         read = partial(read_task, policy=self._context.policy, tenant=lease.job.tenant, map_id=map_id)
-        for _ in range(_READINGS):
-            progress("READ_MAP")
-            task = self._context.transactions.read(read).result()
-            if task is None or not task.graph.tracks:
-                self._context.complete(lease, MAP_DELETED if task is None else NO_SUBMAPS)
-                return
-            failpoint("optimise.after_read")
-            optimised = self.solved(task, progress)
-            failpoint("optimise.after_solution")
-            progress("COMMIT")
-            now_ns = self._context.clock.wall_ns()
-            commit = VersionCommit(lease, task, optimised, self._context.policy, now_ns)
-            if self._context.transactions.write(commit).result():
-                return
-        raise Unavailable("the map was changed again and again while it was optimised")
+        progress("READ_MAP")
+        task = self._context.transactions.read(read).result()
+        if task is None or not task.graph.tracks:
+            self._context.complete(lease, MAP_DELETED if task is None else NO_SUBMAPS)
+            return True
+        failpoint("optimise.after_read")
+        optimised = self.solved(task, progress)
+        failpoint("optimise.after_solution")
+        progress("COMMIT")
+        commit = VersionCommit(lease, task, optimised, self._context.policy, self._context.clock.wall_ns())
+        return self._context.transactions.write(commit).result()

@@ -14,7 +14,7 @@ from revisit.core.geometry import se3
 from revisit.core.geometry.se3 import Matrix4, pose_matrix
 from revisit.formats.map_file import FiledSubmap, MapDescription, write_map
 from revisit.service.domain import limits
-from revisit.service.domain.errors import NotReady, Unavailable
+from revisit.service.domain.errors import NotReady
 from revisit.service.domain.identity import TenantId
 from revisit.service.domain.policy import Policy
 from revisit.service.domain.records import MapFileRecord, SubmapRecord
@@ -23,6 +23,7 @@ from revisit.service.failpoints import failpoint
 from revisit.service.features.catalogue.maps import policy_in_force
 from revisit.service.features.deletion.blob_references import forget_file
 from revisit.service.features.graph.session_poses import PackedSubmaps
+from revisit.service.features.operations.unchanged import unchanged
 from revisit.service.features.optimisation.calls import version_seen
 from revisit.service.features.publishing.layout import LayoutRecorder, MapLayout
 from revisit.service.features.tiles.rows import submaps_numbered
@@ -31,9 +32,6 @@ from revisit.service.ports.job_context import JobContext
 from revisit.service.ports.job_queue import Lease
 from revisit.service.ports.storage import require_descriptor, require_map
 from revisit.service.ports.transactions import UnitOfWork
-
-_READINGS = 3
-"""How often a file is made again that has lost a submap meanwhile."""
 
 
 @dataclass(frozen=True)
@@ -60,19 +58,21 @@ class MapFiling:
 
     def run(self, lease: Lease) -> None:
         """Compute and store the layout of the file's bytes. Raises NotFound, NotReady, DataLoss."""
+        message = "the map was changed again and again while its file was made"
+        unchanged(partial(self._ended, lease), message)
+
+    def _ended(self, lease: Lease) -> bool:
+        """One reading of the map: whether the job has ended by it."""
         payload, tenant = lease.job.payload, lease.job.tenant
-        for _ in range(_READINGS):
-            plan = self._context.transactions.read(partial(self._plan, tenant=tenant, payload=payload)).result()
-            layout = self._layout(tenant, plan)
-            map_hash = layout.hash_with(partial(self._context.blobs.get, tenant, NEURAL_MAP_BLOB))
-            put = partial(self._context.blobs.put, tenant, MAP_LAYOUT_BLOB, layout.to_blob())
-            stored = put()
-            failpoint("publish.after_blob")
-            record = self._record(tenant, payload, plan, map_hash, layout.size, stored)
-            commit = partial(self._stored, lease=lease, plan=plan, record=record)
-            if self._context.write_naming(commit, put):
-                return
-        raise Unavailable("the map was changed again and again while its file was made")
+        plan = self._context.transactions.read(partial(self._plan, tenant=tenant, payload=payload)).result()
+        layout = self._layout(tenant, plan)
+        map_hash = layout.hash_with(partial(self._context.blobs.get, tenant, NEURAL_MAP_BLOB))
+        put = partial(self._context.blobs.put, tenant, MAP_LAYOUT_BLOB, layout.to_blob())
+        stored = put()
+        failpoint("publish.after_blob")
+        record = self._record(tenant, payload, plan, map_hash, layout.size, stored)
+        commit = partial(self._stored, lease=lease, plan=plan, record=record)
+        return self._context.write_naming(commit, put)
 
     def _plan(self, uow: UnitOfWork, tenant: TenantId, payload: dict[str, Any]) -> FilingPlan:
         return read_filing(uow, self._context.policy, tenant, payload["map_id"], payload["version"])

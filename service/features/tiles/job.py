@@ -11,11 +11,12 @@ from numpy.typing import NDArray
 
 from revisit.core.codec.tile import StoredTile, pack_tile
 from revisit.core.geometry.tile_grid import Cell
-from revisit.service.domain.errors import NotFound, Unavailable
+from revisit.service.domain.errors import NotFound
 from revisit.service.domain.identity import TenantId
 from revisit.service.domain.records import MapTileRecord
 from revisit.service.failpoints import failpoint
 from revisit.service.features.deletion.blob_references import blob_of_tile
+from revisit.service.features.operations.unchanged import unchanged
 from revisit.service.features.tiles.rows import TilePlan, Tiling, read_plan, read_tiling
 from revisit.service.ports.blobs import NEURAL_MAP_BLOB, TILE_BLOB
 from revisit.service.ports.job_context import JobContext
@@ -25,9 +26,6 @@ from revisit.service.ports.transactions import UnitOfWork
 
 MOST_STORED = 4096
 """Tiles of a map that are kept: 10 km of streets in two versions. The first that were made go first."""
-
-_READINGS = 3
-"""Attempts at a tile when its submaps change meanwhile."""
 
 
 class TileMaking:
@@ -104,27 +102,27 @@ class TileMaking:
 
     def _tile(self, tenant: TenantId, key: TileKey) -> str:
         """The hash of a tile's blob, which is made and stored where it is missing."""
-        for _ in range(_READINGS):
-            sha256, plan = self._context.transactions.read(partial(self._found, tenant=tenant, key=key)).result()
-            if sha256 is None:
-                sha256 = self._made(tenant, plan)
-            if sha256 is not None:
-                return sha256
-        raise Unavailable("the submaps of the tile were changed again and again while it was made")
+        message = "the submaps of the tile were changed again and again while it was made"
+        return unchanged(partial(self._found_or_made, tenant, key), message)
+
+    def _found_or_made(self, tenant: TenantId, key: TileKey) -> str:
+        """The same; "" where its submaps have changed while it was made."""
+        sha256, plan = self._context.transactions.read(partial(self._found, tenant=tenant, key=key)).result()
+        return sha256 or self._made(tenant, plan)
 
     def _found(self, uow: UnitOfWork, tenant: TenantId, key: TileKey) -> tuple[str | None, TilePlan]:
         plan = read_plan(uow, self._context.policy, tenant, key)
         return stored_tile(uow, tenant, plan.key), plan
 
-    def _made(self, tenant: TenantId, plan: TilePlan) -> str | None:
-        """Make a tile and store it; None where its submaps have changed meanwhile."""
+    def _made(self, tenant: TenantId, plan: TilePlan) -> str:
+        """Make a tile and store it; "" where its submaps have changed meanwhile."""
         read = partial(self._context.blobs.get, tenant, NEURAL_MAP_BLOB)
         blob = pack_tile(self._maker.fuse(plan.maps, plan.centre_m, read), plan.centre_m)
         put = partial(self._context.blobs.put, tenant, TILE_BLOB, blob)
         sha256 = put()
         failpoint("tile.after_blob")
         commit = partial(self._stored, tenant=tenant, plan=plan, sha256=sha256)
-        return sha256 if self._context.write_naming(commit, put) else None
+        return sha256 if self._context.write_naming(commit, put) else ""
 
     def _stored(self, uow: UnitOfWork, tenant: TenantId, plan: TilePlan, sha256: str) -> bool:
         """Store the row of a tile if its submaps are unchanged."""
