@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+from dataclasses import replace
 
 import pytest
 
@@ -15,10 +16,14 @@ from revisit.service.failpoints import FailpointReached, arm
 from revisit.service.features.catalogue.sessions import CreateSession
 from revisit.service.features.graph import posting as optimisation_posting
 from revisit.service.features.graph.posting import drop_waiting
+from revisit.service.features.resources.paging import PageRequest
+from revisit.service.features.upkeep.sweeping import UNREFERENCED_S, collect
+from revisit.service.ports.blobs import TILE_BLOB
+from tests.support.fake_tiler import FakeTiler
 from tests.support.fleet_in_service import fleet_in
 from tests.support.live_service import live_service
 from tests.support.patience import PATIENCE_S
-from tests.support.service_world import TENANT, described, memory_world, open_session, submap
+from tests.support.service_world import TENANT, answered, described, memory_world, open_session, submap
 
 
 def clean_error_m(fleet) -> float:
@@ -123,6 +128,31 @@ async def test_only_the_newest_versions_are_kept_with_their_operations():
     assert [version.version for version in found] == [2, 3]
     jobs = world.context.transactions.read(lambda uow: uow.jobs.find(TENANT, kind="OPTIMISE_MAP")).result()
     assert [job.operation_id for job in jobs] == operations[1:]
+
+
+class CountingTiler(FakeTiler):
+    """No tile is like another."""
+
+    def fuse(self, *asked):
+        fused = super().fuse(*asked)
+        return None if fused is None else replace(fused, neural_map=str(self.made).encode())
+
+
+async def test_the_tiles_of_a_version_that_is_not_kept_are_collected_after_an_hour():
+    world = replace(memory_world(map_versions_kept=1), tiler=CountingTiler())
+    await described(world, a=1, b=2, c=1)
+    for version in (1, 2):
+        await world.use_cases.map_versions.optimise(TENANT, "town")
+        world.work_off()
+        tiles = await world.use_cases.map_tiles.list(TENANT, "town", version, PageRequest())
+        await answered(world, world.use_cases.map_tiles.make(TENANT, tiles.items[0].key))
+        await answered(world, world.use_cases.map_changes.list(TENANT, "town", version, PageRequest()))
+    named = world.context.transactions.read(lambda uow: uow.map_tiles.find(TENANT)).result()
+    assert {one.version for one in named} == {2}
+    world.clock.ms += int(1000 * UNREFERENCED_S)
+    await collect(world.context.storage)
+    stored = {blob.sha256 for blob in world.context.blobs.stored(0.0) if blob.kind == TILE_BLOB}
+    assert stored == {one.tile_sha256 for one in named}
 
 
 async def test_a_graph_that_loses_a_session_while_it_is_optimised_is_read_again():

@@ -11,11 +11,16 @@ import pytest
 from revisit.core.geometry import se3
 from revisit.core.pair_verdict import LoopMeasurement, RejectedLoop, RejectionReason, VerifiedLoop
 from revisit.service.calls.operations import operation_fields
+from revisit.service.domain.records import SubmapRecord
+from revisit.service.engines.local.files.blobs import FileBlobStore
 from revisit.service.features.loops.claims import stored_verdict, verdict_of
 from revisit.service.features.merging import job, portions
 from revisit.service.features.merging.calls import MergeMap
 from revisit.service.features.merging.reading import read_merge
-from revisit.service.ports.blobs import MERGE_PORTION_BLOB, StoredBlob
+from revisit.service.features.retention.removal import retire
+from revisit.service.features.upkeep.sweeping import UNREFERENCED_S, collect, sweep
+from revisit.service.ports.blobs import MERGE_PORTION_BLOB, BlobStore, StoredBlob
+from tests.support.fake_merger import FakeMerger
 from tests.support.fake_recogniser import FakeRecogniser
 from tests.support.fleet_in_service import fleet_in_two
 from tests.support.service_world import TENANT, World, memory_world
@@ -39,9 +44,9 @@ class CountingRecogniser(FakeRecogniser):
         return super().verify(*asked)
 
 
-async def merging() -> tuple[World, str]:
+async def merging(blobs: BlobStore | None = None) -> tuple[World, str]:
     """Two robots in a map each, and the merge of the one into the other, which waits."""
-    world = memory_world()
+    world = memory_world(blobs=blobs)
     fleet_in_two(world, ("one", "two"), sessions=2, submaps=30, per_pair=0)
     posted = await world.use_cases.map_merges.merge(TENANT, MergeMap("one", "two"))
     return world, posted.operation.operation_id
@@ -130,6 +135,65 @@ async def test_a_merge_whose_kept_verdicts_are_lost_begins_anew():
     run(world, again := CountingRecogniser())
     assert again.pairs == whole.pairs
     assert await ending(world, killed) == await ending(undisturbed, merge)
+
+
+async def test_verdicts_of_a_merge_that_waits_for_hours_are_not_swept():
+    undisturbed, _ = await merging()
+    run(undisturbed, whole := CountingRecogniser())
+    world, waiting = await merging()
+    with pytest.raises(Killed):
+        run(world, CountingRecogniser(whole.pairs // 2))
+    for _ in range(2):  # found by the first sweep, collected after the second
+        await sweep(world.context.storage)
+        world.clock.ms += int(1000 * UNREFERENCED_S)
+        await collect(world.context.storage)
+    run(world, rest := CountingRecogniser())
+    assert rest.pairs < whole.pairs
+    assert (await world.use_cases.operations.get(TENANT, waiting)).state == "DONE"
+    assert kept(world) == []
+
+
+async def test_verdicts_of_a_merge_of_which_a_bit_has_flipped_are_found_anew(tmp_path):
+    undisturbed, merge = await merging()
+    run(undisturbed, whole := CountingRecogniser())
+    blobs = FileBlobStore(tmp_path)
+    world, damaged = await merging(blobs)
+    with pytest.raises(Killed):
+        run(world, CountingRecogniser(whole.pairs // 2))
+    (file,) = (path for path in tmp_path.rglob("*") if path.name == kept(world)[0].sha256)
+    data = bytearray(file.read_bytes())
+    data[len(data) // 2] ^= 4
+    file.write_bytes(data)
+    run(world, again := CountingRecogniser())
+    assert (again.pairs, blobs.quarantined()) == (whole.pairs, 1)
+    assert await ending(world, damaged) == await ending(undisturbed, merge)
+
+
+async def test_a_merge_copies_no_place_that_retention_has_taken_meanwhile():
+    world, merge = await merging()
+    numbers = [one.number for one in of_map(world, "two")[5:12]]
+
+    def taken(uow) -> None:
+        retire(uow, uow.maps.get(TENANT, "two"), numbers)
+
+    class Meanwhile(FakeMerger):
+        def align(self, *asked):
+            if len(of_map(world, "two")) == 30:
+                world.context.transactions.write(taken).result()
+            return super().align(*asked)
+
+    world.merger = Meanwhile()
+    run(world, CountingRecogniser())
+    result, _ = await ending(world, merge)
+    assert result["verdict"] == "MERGED"
+    copies = [one.submap_id for one in of_map(world, "one") if one.session_id == "s1"]
+    assert copies == [one.submap_id for one in of_map(world, "two")] and len(copies) == 23
+
+
+def of_map(world: World, map_id: str) -> list[SubmapRecord]:
+    """The described submaps of a map."""
+    equals = {"map_id": map_id, "state": "DESCRIBED"}
+    return world.context.transactions.read(lambda uow: uow.submaps.find(TENANT, **equals)).result()
 
 
 async def test_verdicts_that_rest_on_other_grounds_are_not_taken_over():

@@ -105,15 +105,15 @@ def policy(pipeline: PipelineConfig = PipelineConfig(), **overrides) -> Policy:
     return Policy(pipeline=replace(pipeline, loop=loop), **overrides)
 
 
-def memory_world(clock: SteppedClock | None = None, **overrides) -> World:
-    """The service over the stores in memory, or, where REVISIT_TEST_STATE asks for it, over PostgreSQL."""
-    rules, clock = policy(**overrides), clock or SteppedClock()
+def memory_world(clock: SteppedClock | None = None, blobs: BlobStore | None = None, **overrides) -> World:
+    """The service over the stores in memory, or other `blobs`; over PostgreSQL where REVISIT_TEST_STATE asks for it."""
+    rules, clock, blobs = policy(**overrides), clock or SteppedClock(), blobs or MemoryBlobStore()
     if ON_POSTGRES:
         transactions = postgres_transactions(rules, clock)
-        world = _world(transactions, MemoryBlobStore(), rules, clock)
+        world = _world(transactions, blobs, rules, clock)
         weakref.finalize(world.context.storage, transactions.close)
         return world
-    return _world(MemoryTransactions(rules.lease_ms, clock), MemoryBlobStore(), rules, clock)
+    return _world(MemoryTransactions(rules.lease_ms, clock), blobs, rules, clock)
 
 
 def sqlite_world(

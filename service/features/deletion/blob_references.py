@@ -41,13 +41,18 @@ def blob_of_file(record: MapFileRecord) -> Blob:
 def forget_made(uow: UnitOfWork, tenant: TenantId, map_id: str, session_id: str) -> None:
     """Delete the tiles and files that were made of a session, before a part of it goes."""
     for version in uow.session_poses.distinct(tenant, "version", map_id=map_id, session_id=session_id):
-        tiles = {"map_id": map_id, "version": version}
-        made = uow.map_tiles.distinct(tenant, "tile_sha256", **tiles)
-        uow.blobs.release(tenant, {(TILE_BLOB, sha256) for sha256 in made})
-        uow.map_tiles.delete(tenant, **tiles)
+        forget_tiles(uow, tenant, map_id, version)
     for file in uow.map_files.find(tenant, map_id=map_id):
         if session_id in file.sessions:
             forget_file(uow, file)
+
+
+def forget_tiles(uow: UnitOfWork, tenant: TenantId, map_id: str, version: int) -> None:
+    """Delete the tiles of a version of a map, and what was found changed in it."""
+    tiles: dict[str, str | int] = {"map_id": map_id, "version": version}
+    made = uow.map_tiles.distinct(tenant, "tile_sha256", **tiles)
+    uow.blobs.release(tenant, {(TILE_BLOB, sha256) for sha256 in made})
+    uow.map_tiles.delete(tenant, **tiles)
 
 
 def forget_file(uow: UnitOfWork, file: MapFileRecord) -> None:

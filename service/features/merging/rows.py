@@ -31,6 +31,8 @@ from revisit.service.ports.map_optimiser import OptimisedMap, OptimisedTrack, Re
 from revisit.service.ports.storage import require_deleted
 from revisit.service.ports.transactions import UnitOfWork
 
+_PAGE = 500
+
 NOTHING_TO_MERGE = {"outcome": "one of the maps is gone, or holds no described submap"}
 """The result of a job that had nothing to merge."""
 
@@ -83,18 +85,18 @@ class MergeCommit:
         for side in (self.proposal.task.target, self.proposal.task.source):
             known = side.task.map
             current = uow.maps.get(known.tenant, known.map_id, hold=True)
-            same = current is not None and current.number == known.number
-            if not same or current is None or current.graph_edits != known.graph_edits:
+            if current is None or _grounds(current) != _grounds(known):
                 return None
             records.append((current, known))
         (target, as_read), _ = records
         return target if target.map_version == as_read.map_version and self._has_all(uow) else None
 
     def _has_all(self, uow: UnitOfWork) -> bool:
-        """Whether all that the copies will name is there: a submap with a row has its blobs."""
+        """Whether all that the copies will name is there, as it was read: retention may have taken places or scans."""
         source = self.proposal.task.source
-        present = uow.submaps.distinct(source.task.map.tenant, "number", map_id=source.task.map.map_id)
-        return all(one.number in present for one in source.submaps)
+        standings = uow.submaps.standings(source.task.map.tenant, source.task.map.map_id)
+        now = {one.number: (one.state, one.kept_scans) for one in standings}
+        return all(now.get(one.number) == (one.state, one.kept_scans) for one in source.submaps)
 
     # -- rows
 
@@ -130,15 +132,20 @@ class MergeCommit:
         )
 
     def _copy_scans(self, uow: UnitOfWork, session: SessionRecord, copy: SessionRecord) -> None:
-        for scan in uow.scans.find(session.tenant, map_id=session.map_id, session_id=session.session_id):
-            uow.scans.add(replace(scan, map_id=copy.map_id, session_id=copy.session_id, number=0))
+        after: int | None = 0
+        while after is not None:
+            asked = {"map_id": session.map_id, "session_id": session.session_id}
+            page = uow.scans.find(session.tenant, after=after, limit=_PAGE, **asked)
+            uow.scans.add_all([replace(one, map_id=copy.map_id, session_id=copy.session_id, number=0) for one in page])
+            after = page[-1].number if len(page) == _PAGE else None
 
     def _copy_anchors(self, uow: UnitOfWork, target: MapRecord, session: SessionRecord, copy: SessionRecord) -> None:
         """Those on earth, which hold the next version; metres from another map's origin say nothing in this one."""
         anchors = uow.anchors.find(session.tenant, map_id=session.map_id, session_id=session.session_id)
         on_earth = [one for one in anchors if one.frame == AnchorFrame.WGS84]
-        for one in on_earth:
-            uow.anchors.add(replace(one, map_id=copy.map_id, session_id=copy.session_id, number=0))
+        uow.anchors.add_all(
+            [replace(one, map_id=copy.map_id, session_id=copy.session_id, number=0) for one in on_earth]
+        )
         current = uow.maps.get(target.tenant, target.map_id)
         if current is not None and current.origin is None and on_earth:
             uow.maps.replace(replace(current, origin=origin_by(current, on_earth)))
@@ -257,6 +264,11 @@ class MergeCommit:
         return task, replace(
             optimised, tracks=solved, loops=loops, faults=faults, refused_joins=refused, on_earth=on_earth
         )
+
+
+def _grounds(record: MapRecord) -> tuple[int, int, str | None]:
+    """What a proposal rests on in the row of a map: that it is this map, of these parts, described by this model."""
+    return record.number, record.graph_edits, record.model_version
 
 
 def _number(loop: int, copies: _Copies) -> int:

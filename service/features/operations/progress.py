@@ -5,8 +5,10 @@ from __future__ import annotations
 from functools import partial
 from typing import Any
 
+from revisit.service.domain.identity import TenantId
 from revisit.service.domain.records import JobRecord
-from revisit.service.ports.blobs import MERGE_PORTION_BLOB, StoredBlob
+from revisit.service.domain.states import OperationKind, OperationState
+from revisit.service.ports.blobs import MERGE_PORTION_BLOB, Blob, StoredBlob
 from revisit.service.ports.clock import Clock
 from revisit.service.ports.job_queue import Lease
 from revisit.service.ports.transactions import Transactions, UnitOfWork
@@ -58,6 +60,14 @@ def portion_of(job: JobRecord) -> StoredBlob | None:
     """What a run of the job has kept for the next one."""
     sha256 = (job.progress or {}).get(_PORTION)
     return None if sha256 is None else StoredBlob(job.tenant, MERGE_PORTION_BLOB, str(sha256))
+
+
+def kept_for_jobs(uow: UnitOfWork, tenant: TenantId) -> set[Blob]:
+    """The blobs that the jobs of a tenant go on with which have not ended, however long these wait."""
+    unended = (OperationState.QUEUED, OperationState.RUNNING)
+    merges = [uow.jobs.find(tenant, kind=OperationKind.MERGE_MAP.value, state=state.value) for state in unended]
+    kept = (portion_of(job) for jobs in merges for job in jobs)
+    return {(blob.kind, blob.sha256) for blob in kept if blob is not None}
 
 
 def shown(job: JobRecord) -> dict[str, Any] | None:

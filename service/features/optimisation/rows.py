@@ -18,6 +18,7 @@ from revisit.service.domain.policy import Policy
 from revisit.service.domain.records import LoopRecord, MapRecord, MapVersionRecord, SessionPosesRecord
 from revisit.service.domain.states import AnchorKind, EventKind, LoopEventKind
 from revisit.service.failpoints import failpoint
+from revisit.service.features.deletion.blob_references import forget_tiles
 from revisit.service.features.graph.anchor_verdicts import changed_anchors, pack_anchors
 from revisit.service.features.graph.anchors import stored_frames
 from revisit.service.features.graph.map_frames import frame_name
@@ -194,7 +195,7 @@ def forget_versions(uow: UnitOfWork, tenant: TenantId, map_id: str, last: int) -
         of_version: dict[str, str | int] = {"map_id": map_id, "version": version}
         for operation_id in uow.map_versions.distinct(tenant, "operation_id", **of_version):
             uow.jobs.delete(tenant, operation_id=operation_id)
-        uow.map_tiles.delete(tenant, **of_version)
+        forget_tiles(uow, tenant, map_id, version)
         uow.session_poses.delete(tenant, **of_version)
         uow.map_versions.delete(tenant, **of_version)
 

@@ -15,6 +15,7 @@ import structlog
 
 from revisit.service.domain.identity import TenantId
 from revisit.service.failpoints import failpoint
+from revisit.service.features.operations.progress import kept_for_jobs
 from revisit.service.ports.blobs import MOST_MS, BlobCollection, BlobStore, StoredBlob
 from revisit.service.ports.storage import Storage
 from revisit.service.ports.transactions import UnitOfWork
@@ -61,7 +62,7 @@ async def collect(storage: Storage, unreferenced_s: float = UNREFERENCED_S) -> i
 
 async def _release_strays(storage: Storage, tenant: TenantId, blobs: list[StoredBlob]) -> int:
     addresses = [(blob.kind, blob.sha256) for blob in blobs]
-    strays = await storage.read(lambda uow: uow.blobs.strays(tenant, addresses))
+    strays = await storage.read(lambda uow: uow.blobs.strays(tenant, addresses) - kept_for_jobs(uow, tenant))
     if strays:
         await storage.write(lambda uow: uow.blobs.release(tenant, strays))
     return len(strays)
