@@ -11,12 +11,12 @@ from dataclasses import dataclass
 from revisit.service.capacity.admission import Admission
 from revisit.service.capacity.backlog import JobPosting
 from revisit.service.capacity.byte_budget import ByteBudget
+from revisit.service.capacity.charged_work import ChargedWork
 from revisit.service.context import ServiceContext
 from revisit.service.domain.identity import DEFAULT_TENANT, SessionKey, SubmapKey, TenantId
 from revisit.service.domain.policy import Policy
 from revisit.service.features.anchors.calls import Anchors
 from revisit.service.features.audit.calls import AuditLog
-from revisit.service.features.catalogue.downloads import Rendering
 from revisit.service.features.catalogue.maps import Maps
 from revisit.service.features.catalogue.meshes import SubmapMeshes
 from revisit.service.features.catalogue.robots import Robots
@@ -93,17 +93,17 @@ class UseCases:
             JobPosting(of.backlog, of.clock, of.policy),
         )
         context = CallContext(of.storage, lists, admission, jobs, of.clock, of.policy)
-        operations, audit, rendering = Operations(context), AuditLog(of.storage, of.clock), Rendering(of.in_flight)
+        operations, audit, work = Operations(context), AuditLog(of.storage, of.clock), ChargedWork(of.in_flight)
         tail, writes = EventTail(of.storage, admission), ReadYourWrites(of.storage, admission)
         answers = WorkerAnswers(context, operations)
         return cls(
             maps=Maps(context, of.erasure, of.index),
             robots=Robots(context),
             sessions=Sessions(context, of.erasure),
-            anchors=Anchors(context),
+            anchors=Anchors(context, work),
             scans=Scans(context, of.decoder, of.in_flight),
             posting=SubmapPosting(context, of.decoder),
-            submaps=Submaps(context, rendering, SubmapMeshes(context, answers)),
+            submaps=Submaps(context, work, SubmapMeshes(context, answers)),
             searches=Searches(context, of.decoder, of.memory, answers, writes),
             conversations=Conversations(context, of.decoder, answers, of.in_flight),
             loops=Loops(context, tail, writes),
@@ -113,8 +113,8 @@ class UseCases:
             webhooks=Webhooks(context),
             map_versions=MapVersions(context),
             map_merges=MapMerges(context, of.erasure),
-            map_tiles=MapTiles(context, operations, rendering),
-            map_changes=MapChanges(context, operations),
+            map_tiles=MapTiles(context, operations, work),
+            map_changes=MapChanges(context, operations, work),
             map_files=MapFiles(context),
             retention=MapRetentions(context),
             corrections=Corrections(context, tail),

@@ -68,10 +68,13 @@ class Admission:
         self._in_flight.check_rate(tenant)
         self._in_flight.charge_call(tenant, points)
 
-    def charge_creation(self, tenant: TenantId) -> None:
-        """Charge a call that makes a lasting row. Raises Draining; RateLimited, and charges nothing."""
+    def charge_creation(self, tenant: TenantId, rows_points: int = 0) -> None:
+        """Charge a call that makes a lasting row, and so many points for those beside it.
+
+        Raises Draining; RateLimited, and charges nothing.
+        """
         self.require_running()
-        self.charge_call(tenant, CREATION_POINTS)
+        self.charge_call(tenant, CREATION_POINTS + rows_points)
 
     def precheck_cloud(self, tenant: TenantId) -> None:
         """The checks before a cloud is read. Raises Draining, RateLimited, WorkersBusy."""

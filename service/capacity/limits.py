@@ -27,6 +27,9 @@ CALL_POINTS = 1_000
 CREATION_POINTS = 100_000
 """Of a new map, session, robot or webhook: five times the 2 ms of its commit."""
 
+ANCHOR_POINTS = 15_000
+"""Of a new anchor: five times the 0.3 ms of its row."""
+
 ROW_POINTS = 3_000
 """Of a row of a list: five times 60 us."""
 

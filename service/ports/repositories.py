@@ -118,8 +118,8 @@ class ScanRepository(Repository[ScanRecord], Protocol):
         """The chosen scans of a session with numbers from `first` to `last`, in order; at most the `newest` of them."""
         ...
 
-    def around(self, tenant: TenantId, map_id: str, session_id: str, first_ns: int, last_ns: int) -> list[ScanRecord]:
-        """The scans of a session from the last one up to `first_ns` to the first one from `last_ns` on, in order."""
+    def around(self, tenant: TenantId, map_id: str, session_id: str, stamp_ns: int, limit: int) -> list[ScanRecord]:
+        """The scans of a session from the last one up to `stamp_ns` on, or else from its first one, at most `limit`."""
         ...
 
     def points_of(self, tenant: TenantId) -> int:

@@ -392,16 +392,19 @@ def test_the_standings_of_submaps_are_read_by_map_and_by_session(write, read):
 
 
 @pytest.mark.parametrize(
-    ("first_ns", "last_ns", "found"),
-    [(20, 20, [2]), (21, 29, [2, 3]), (21, 31, [2, 3, 4]), (0, 5, [1]), (50, 99, [5]), (0, 99, list(range(1, 6)))],
-)  # fmt: skip
-def test_scans_around_a_time_are_those_before_and_behind_it(write, read, first_ns, last_ns, found):
+    ("stamp_ns", "limit", "found"),
+    [(20, 1, [2]), (29, 2, [2, 5]), (0, 2, [1, 2]), (70, 9, [7]), (99, 9, [7]), (0, 99, [1, 2, 5, 6, 7])],
+)
+def test_scans_around_a_time_are_those_from_the_last_one_before_it_on(write, read, stamp_ns, limit, found):
     def add(uow):
         uow.maps.add(a_map())
-        uow.sessions.add(a_session())
-        for seq in range(1, 6):
+        for session in ("monday", "tuesday"):
+            uow.sessions.add(a_session(session))
+        for seq in (1, 2, 5, 6, 7):  # the others were not kept
             uow.scans.add(replace(a_scan(seq), stamp_ns=10 * seq))
+        uow.scans.add(replace(a_scan(9), session_id="tuesday", stamp_ns=stamp_ns))
 
     write(add)
-    scans = read(lambda uow: uow.scans.around(TENANT, "town", "monday", first_ns, last_ns))
+    scans = read(lambda uow: uow.scans.around(TENANT, "town", "monday", stamp_ns, limit))
     assert [scan.seq for scan in scans] == found
+    assert read(lambda uow: uow.scans.around(TENANT, "town", "sunday", stamp_ns, limit)) == []

@@ -12,20 +12,25 @@ import pytest
 from typer.testing import CliRunner
 
 from revisit.cli.app import app
+from revisit.core.errors import BadField
 from revisit.core.geometry import geodesy, se3
 from revisit.core.geometry.se3 import pose_matrix
 from revisit.service.domain.identity import SessionKey
-from revisit.service.domain.states import AnchorKind, EventKind
-from revisit.service.features.anchors.rules import DrivePoses
+from revisit.service.domain.states import AnchorFrame, AnchorKind, EventKind
+from revisit.service.features.anchors import calls
+from revisit.service.features.anchors.rules import DrivePoses, NewAnchor
 from revisit.service.features.events.calls import events_of
 from revisit.service.features.graph.anchor_verdicts import anchor_verdicts, frames_on_earth
+from revisit.service.features.graph.anchors import SubmapsInTime
 from revisit.service.features.graph.session_poses import PackedSubmaps
 from revisit.service.features.merging.calls import MergeMap
 from revisit.service.features.resources.paging import PageRequest
+from revisit.service.ports.repositories import PlacedSubmap
 from tests.support.fleet_in_service import fleet_in, fleet_in_two
 from tests.support.live_service import connected, live_service
 from tests.support.made_up_anchors import ORIGIN, new_anchors, sent, with_stamps
-from tests.support.service_world import TENANT, memory_world, sqlite_world
+from tests.support.records import a_scan
+from tests.support.service_world import SESSION, TENANT, memory_world, open_session, sqlite_world
 
 
 @pytest.fixture(params=["memory", "sqlite"])
@@ -236,6 +241,55 @@ async def test_a_merge_leaves_a_map_on_earth_and_brings_the_anchors_of_the_other
     (found,) = after.summary["georeferences"]
     assert (found["anchors"], found["of_anchors"]) == (96, 120)
     assert error_m(world, made, after) < 1.0
+
+
+async def test_anchors_that_are_posted_again_change_nothing_and_queue_nothing():
+    world = memory_world(optimise_after_loops=1)
+    made = fleet_in(world, "town", 0.0, sessions=1, submaps=10).fleet
+    await world.use_cases.sessions.finish(TENANT, SessionKey("town", "s0"))
+    await posted(world, made)
+    queued = [one.operation_id for one in rows_of_jobs(world)]
+    assert len(queued) == 1
+    world.clock.ms += 600_000
+    world.work_off()
+    await posted(world, made)
+    assert [one.operation_id for one in rows_of_jobs(world)] == queued
+
+
+async def test_of_a_long_drive_those_scans_are_read_that_anchors_lie_between(world, monkeypatch):
+    await open_session(world)
+    long = [a_scan(seq, float(seq)) for seq in range(1, 1001)]
+    T_odom = [tuple(se3.from_yaw(0.0, (float(one.seq), 0.0, 0.0)).ravel().tolist()) for one in long]
+    scans = [replace(one, T_odom_sensor=pose) for one, pose in zip(long, T_odom, strict=True)]
+    world.context.transactions.write(lambda uow: uow.scans.add_all(scans)).result()
+    read = []
+    monkeypatch.setattr(calls, "DrivePoses", lambda *drive: read.append(len(drive[0])) or DrivePoses(*drive))
+    ends = [fix_at(stamp_ns) for stamp_ns in (50_050, 150, 99_950)]
+    found = await world.use_cases.anchors.post(TENANT, SESSION, ends)
+    assert [pose_matrix(one.record.T_odom_sensor)[0, 3] for one in found] == [500.5, 1.5, 999.5]
+    assert 0 < sum(read) <= 3 * calls.SCANS_AT_ONCE
+    with pytest.raises(BadField, match="no scans are stored before and after"):
+        await world.use_cases.anchors.post(TENANT, SESSION, [fix_at(100_001)])
+
+
+def rows_of_jobs(world):
+    return world.context.transactions.read(lambda uow: uow.jobs.find(TENANT, kind="OPTIMISE_MAP")).result()
+
+
+def fix_at(stamp_ns: int) -> NewAnchor:
+    covariance = tuple(np.eye(3).ravel().tolist())
+    return NewAnchor(f"at-{stamp_ns}", AnchorKind.GNSS, AnchorFrame.WGS84, stamp_ns, ORIGIN, covariance)
+
+
+def test_an_anchor_is_of_the_submap_nearest_in_time_and_of_several_of_the_first():
+    rng = np.random.default_rng(2)
+    for _ in range(200):
+        drive = [
+            PlacedSubmap(n, 1, n, (), int(stamp)) for n, stamp in enumerate(rng.integers(0, 12, rng.integers(1, 9)))
+        ]
+        for stamp_ns in range(-1, 14):
+            nearest = min(drive, key=lambda one: abs(one.stamp_ns - stamp_ns))
+            assert SubmapsInTime.of(drive).nearest(stamp_ns) == nearest
 
 
 async def test_a_fix_lies_on_the_drive_between_the_scans_around_it():

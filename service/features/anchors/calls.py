@@ -15,6 +15,8 @@ from revisit.core.geometry import se3
 from revisit.core.geometry.se3 import Matrix4
 from revisit.core.pose_graph.anchors import AnchorReason, AnchorState
 from revisit.service.capacity.backlog import same_job
+from revisit.service.capacity.charged_work import ChargedWork
+from revisit.service.capacity.limits import ANCHOR_POINTS
 from revisit.service.domain import limits
 from revisit.service.domain.errors import NotFound
 from revisit.service.domain.identity import SessionKey, TenantId
@@ -32,6 +34,9 @@ from revisit.service.features.resources.paging import Page, PageRequest, as_it_i
 from revisit.service.features.resources.views import PostedOperation
 from revisit.service.ports.storage import require_map, require_same_content, require_session
 from revisit.service.ports.transactions import UnitOfWork
+
+SCANS_AT_ONCE = 200
+"""Scans that are read to find the poses of anchors between them: those of 20 s of a drive."""
 
 
 @dataclass(frozen=True)
@@ -52,9 +57,10 @@ class AnchorView:
 class Anchors:
     """Post, preview, list and delete."""
 
-    def __init__(self, context: CallContext) -> None:
-        """Anchors are kept in the storage of the context."""
+    def __init__(self, context: CallContext, work: ChargedWork) -> None:
+        """Anchors are kept in the storage of the context; `work` has a turn for whoever looks for their poses."""
         self._context = context
+        self._work = work
 
     async def post(self, tenant: TenantId, key: SessionKey, anchors: Sequence[NewAnchor]) -> list[AnchorView]:
         """Store anchors of a session, all or none; those that are there with the same content are passed over.
@@ -69,8 +75,8 @@ class Anchors:
         """The rows of anchors to post. Raises as `post`."""
         limits.ANCHORS.validated(len(anchors), "anchors")
         posted = [one.validated() for one in anchors]
-        self._context.admission.charge_creation(tenant)
-        poses = await self._context.storage.read(partial(_sensor_poses, tenant=tenant, key=key, anchors=posted))
+        self._context.admission.charge_creation(tenant, ANCHOR_POINTS * len(posted))
+        poses = await self._sensor_poses(tenant, key, posted)
         now_ns = self._context.clock.wall_ns()
         return [one.record(tenant, key, T, now_ns) for one, T in zip(posted, poses, strict=True)]
 
@@ -95,6 +101,13 @@ class Anchors:
         posted = self._context.jobs.post(uow, tenant, OperationKind.PREVIEW_ANCHORS, key.name, payload)
         return PostedOperation(posted, replay=False)
 
+    async def _sensor_poses(self, tenant: TenantId, key: SessionKey, anchors: Sequence[NewAnchor]) -> list[Matrix4]:
+        """See the function; what is read of scans is charged."""
+        find = partial(_sensor_poses, tenant=tenant, key=key, anchors=anchors)
+        if all(one.T_odom_sensor is not None for one in anchors):
+            return await self._context.storage.read(find)
+        return await self._work.of(tenant, partial(self._context.storage.transactions.read_here, find))
+
     def _post(
         self, uow: UnitOfWork, tenant: TenantId, key: SessionKey, rows: Sequence[AnchorRecord], now_ns: int
     ) -> list[AnchorView]:
@@ -103,9 +116,8 @@ class Anchors:
         origin = origin_by(of_map, rows)
         if origin != of_map.origin:
             uow.maps.replace(replace(of_map, origin=origin))
-        _require_room(uow, session, len(rows))
-        stored = [_stored(uow, row) for row in rows]
-        if session.state == SessionState.FINISHED:
+        stored, added = _stored(uow, session, rows)
+        if added and session.state == SessionState.FINISHED:
             optimise_soon(uow, tenant, key.map_id, self._context.policy, now_ns, decided=True)
         return [AnchorView(row) for row in stored]
 
@@ -136,9 +148,21 @@ class Anchors:
         optimise_soon(uow, tenant, key.map_id, self._context.policy, now_ns, decided=True)
 
 
-def _stored(uow: UnitOfWork, row: AnchorRecord) -> AnchorRecord:
-    """The row, added where it is not there. Raises AlreadyExists where one of its id has other content."""
-    return _known(uow, row) or uow.anchors.add(row)
+def _stored(uow: UnitOfWork, session: SessionRecord, rows: Sequence[AnchorRecord]) -> tuple[list[AnchorRecord], int]:
+    """The rows, added where they are not there, and how many were added.
+
+    Raises AlreadyExists where one of an id has other content, BadField where the session would have too many.
+    """
+    held = _anchors_of(uow, session)
+    stored = [_known(uow, row) or uow.anchors.add(row) for row in rows]
+    added = _anchors_of(uow, session) - held
+    if added and held + added > limits.ANCHORS_OF_SESSION:
+        raise BadField(f"a session has at most {limits.ANCHORS_OF_SESSION} anchors", field="anchors")
+    return stored, added
+
+
+def _anchors_of(uow: UnitOfWork, session: SessionRecord) -> int:
+    return uow.anchors.count(TenantId(session.tenant), map_id=session.map_id, session_id=session.session_id)
 
 
 def _known(uow: UnitOfWork, row: AnchorRecord) -> AnchorRecord | None:
@@ -149,31 +173,22 @@ def _known(uow: UnitOfWork, row: AnchorRecord) -> AnchorRecord | None:
     return known
 
 
-def _require_room(uow: UnitOfWork, session: SessionRecord, more: int) -> None:
-    """Raises BadField where a session would have too many anchors."""
-    tenant = TenantId(session.tenant)
-    if (
-        uow.anchors.count(tenant, map_id=session.map_id, session_id=session.session_id) + more
-        > limits.ANCHORS_OF_SESSION
-    ):
-        raise BadField(f"a session has at most {limits.ANCHORS_OF_SESSION} anchors", field="anchors")
-
-
 def _sensor_poses(uow: UnitOfWork, tenant: TenantId, key: SessionKey, anchors: Sequence[NewAnchor]) -> list[Matrix4]:
     """T_odom_sensor (4, 4) of anchors: as told, or between the scans around them. Raises NotFound, BadField."""
     require_session(uow, tenant, key)
-    if all(one.T_odom_sensor is not None for one in anchors):
-        return [se3.validated(one.T_odom_sensor) for one in anchors]  # type: ignore[arg-type]  # none of them is None
-    stamps_ns = [one.stamp_ns for one in anchors if one.T_odom_sensor is None]
-    scans = uow.scans.around(tenant, key.map_id, key.session_id, min(stamps_ns), max(stamps_ns))
-    drive = DrivePoses([scan.stamp_ns for scan in scans], [scan.T_odom_sensor for scan in scans])
-    return [_pose_of(drive, one) for one in anchors]
+    found, drive = dict[int, Matrix4 | None](), DrivePoses([], [])
+    for stamp_ns in sorted(one.stamp_ns for one in anchors if one.T_odom_sensor is None):
+        if drive.at(stamp_ns) is None:
+            scans = uow.scans.around(tenant, key.map_id, key.session_id, stamp_ns, SCANS_AT_ONCE)
+            drive = DrivePoses([scan.stamp_ns for scan in scans], [scan.T_odom_sensor for scan in scans])
+        found[stamp_ns] = drive.at(stamp_ns)
+    return [_pose_of(found.get(one.stamp_ns), one) for one in anchors]
 
 
-def _pose_of(drive: DrivePoses, anchor: NewAnchor) -> Matrix4:
+def _pose_of(T_odom_sensor: Matrix4 | None, anchor: NewAnchor) -> Matrix4:
+    """As the anchor tells it, or else as the scans do."""
     if anchor.T_odom_sensor is not None:
         return se3.validated(anchor.T_odom_sensor)
-    T_odom_sensor = drive.at(anchor.stamp_ns)
     if T_odom_sensor is None:
         message = f"anchor {anchor.anchor_id} needs T_odom_sensor: no scans are stored before and after its time"
         raise BadField(message, field="t_odom_sensor")

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import asyncio
 import io
-import time
 from collections.abc import Awaitable, Callable, Iterator
 from dataclasses import dataclass
 from enum import StrEnum
@@ -16,10 +14,7 @@ from revisit.core.errors import UnsupportedEncoding
 from revisit.formats import NPY, PCD, PLY, encode_npy, encode_pcd, encode_ply, encode_ply_mesh
 from revisit.formats.glb import MEDIA_TYPE as GLB
 from revisit.formats.glb import encode_scene
-from revisit.service.capacity.in_flight import InFlight, Turns
-from revisit.service.capacity.limits import POINTS_PER_S
 from revisit.service.domain.errors import NotFound, NotReady
-from revisit.service.domain.identity import TenantId
 from revisit.service.domain.records import SubmapRecord
 from revisit.service.domain.states import SubmapState
 from revisit.service.features.ingest.clouds import StoredCloud, unpack_cloud
@@ -80,40 +75,6 @@ class Download:
 
 async def any_room(count: int) -> None:
     """The `Room` of a caller that is no client of the gateway."""
-
-
-class Rendering:
-    """Makes files: one at a time, for the largest takes several times its size for a moment, and tenants in turns.
-
-    Each is charged its time of a core, also a failed one: a scene in glb takes hundreds of milliseconds.
-    """
-
-    def __init__(self, in_flight: InFlight) -> None:
-        """Files are charged to the rate limits of `in_flight`."""
-        self._in_flight = in_flight
-        self._turns = Turns(1)
-
-    async def of(self, tenant: TenantId, make: Callable[[], Download]) -> Download:
-        """The file that `make` makes, in a thread. Raises RateLimited, and the errors of `make`."""
-        async with self._turns.of(tenant):
-            self._in_flight.check_rate(tenant)
-            spent_s: list[float] = []
-            made = asyncio.create_task(asyncio.to_thread(_timed, make, spent_s))
-            try:
-                return await asyncio.shield(made)
-            finally:
-                # Of a caller that goes away, too: the thread works to its end.
-                await asyncio.wait({made})
-                self._in_flight.charge_call(tenant, int(POINTS_PER_S * sum(spent_s)))
-
-
-def _timed(make: Callable[[], Download], spent_s: list[float]) -> Download:
-    """The result of `make`; its time of a core, seconds, is added to `spent_s`."""
-    began_s = time.thread_time()
-    try:
-        return make()
-    finally:
-        spent_s.append(time.thread_time() - began_s)
 
 
 def extension_of(kind: DownloadKind, file_format: str | None) -> str:

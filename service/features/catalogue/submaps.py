@@ -8,6 +8,7 @@ from typing import Protocol
 
 import numpy as np
 
+from revisit.service.capacity.charged_work import ChargedWork
 from revisit.service.domain.identity import SessionKey, SubmapKey, TenantId
 from revisit.service.domain.records import SubmapRecord
 from revisit.service.domain.states import SubmapState
@@ -18,7 +19,6 @@ from revisit.service.features.catalogue.downloads import (
     RENDERING_BYTES,
     Download,
     DownloadKind,
-    Rendering,
     Room,
     any_room,
     extension_of,
@@ -52,10 +52,10 @@ class Meshes(Protocol):
 class Submaps:
     """Get, list, delete and download submaps."""
 
-    def __init__(self, context: CallContext, rendering: Rendering, meshes: Meshes) -> None:
-        """`rendering` and `meshes` make files."""
+    def __init__(self, context: CallContext, work: ChargedWork, meshes: Meshes) -> None:
+        """`work` and `meshes` make files."""
         self._context = context
-        self._rendering = rendering
+        self._work = work
         self._meshes = meshes
 
     async def get(self, tenant: TenantId, key: SubmapKey, *, full: bool = False) -> SubmapView:
@@ -104,7 +104,7 @@ class Submaps:
                 stored_file(self._context.storage.blobs, record, source, kind, extension), record, kind, extension
             )
 
-        return await self._rendering.of(tenant, make)
+        return await self._work.of(tenant, make)
 
     def _with_source(self, uow: UnitOfWork, tenant: TenantId, key: SubmapKey) -> tuple[SubmapRecord, SubmapSource]:
         record = require_submap(uow, tenant, key)

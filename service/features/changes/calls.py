@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import asyncio
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
+from revisit.service.capacity.charged_work import ChargedWork
 from revisit.service.domain import limits
 from revisit.service.domain.errors import NoAnswer
 from revisit.service.domain.identity import SessionKey, TenantId
@@ -33,9 +33,10 @@ class MapChangeView:
 class MapChanges:
     """Lists the changes of a version; a worker looks for them when somebody asks for the first time."""
 
-    def __init__(self, context: CallContext, operations: Operations) -> None:
-        """`operations` waits for the worker."""
+    def __init__(self, context: CallContext, operations: Operations, work: ChargedWork) -> None:
+        """`operations` waits for the worker; `work` has a turn for each that reads what a worker found."""
         self._context = context
+        self._work = work
         self._jobs = JoinedJobs(context, operations)
 
     async def list(
@@ -78,10 +79,10 @@ class MapChanges:
         sha256 = await self._context.storage.read(known)
         if sha256 is None:
             return None
-        return await asyncio.to_thread(self._read, tenant, sha256)
+        return await self._work.of(tenant, partial(self._read, tenant, sha256))
 
     def _read(self, tenant: TenantId, sha256: str) -> FoundChanges:
-        """Beside the event loop: those of a large map are megabytes."""
+        """Those of a large map are megabytes, which each page of their list reads."""
         found = FoundChanges.of(self._context.storage.blobs.get(tenant, TILE_BLOB, sha256))
         return replace(found, changes=tuple(sorted(found.changes, key=lambda one: one.order)))
 

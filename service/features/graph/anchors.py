@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -29,19 +31,37 @@ def read_anchors(
     if not rows:
         return ()
     numbers = {one.session_id: one.number for one in uow.sessions.find(record.tenant, map_id=record.map_id)}
-    drives: dict[int, list[PlacedSubmap]] = {}
+    of_sessions: dict[int, list[PlacedSubmap]] = {}
     for one in placed:
-        drives.setdefault(one.session_number, []).append(one)
+        of_sessions.setdefault(one.session_number, []).append(one)
+    drives = {number: SubmapsInTime.of(drive) for number, drive in of_sessions.items()}
     places = world_places(rows, origin_by(record, rows))
     return tuple(
-        track_anchor(row, place, _nearest(drives[numbers[row.session_id]], row.stamp_ns))
+        track_anchor(row, place, drives[numbers[row.session_id]].nearest(row.stamp_ns))
         for row, place in zip(rows, places, strict=True)
         if numbers.get(row.session_id) in drives
     )
 
 
-def _nearest(drive: Sequence[PlacedSubmap], stamp_ns: int) -> PlacedSubmap:
-    return min(drive, key=lambda one: abs(one.stamp_ns - stamp_ns))
+@dataclass(frozen=True)
+class SubmapsInTime:
+    """The submaps of a session in the order of their times."""
+
+    submaps: Sequence[PlacedSubmap]
+    stamps_ns: Sequence[int]
+
+    @classmethod
+    def of(cls, submaps: Iterable[PlacedSubmap]) -> SubmapsInTime:
+        """Submaps in the order of the drive, which stays that of those of one time."""
+        ordered = sorted(submaps, key=lambda one: one.stamp_ns)
+        return cls(ordered, [one.stamp_ns for one in ordered])
+
+    def nearest(self, stamp_ns: int) -> PlacedSubmap:
+        """The submap nearest in time; of several the first of the drive."""
+        after = bisect_left(self.stamps_ns, stamp_ns)
+        near = {max(0, after - 1), min(after, len(self.stamps_ns) - 1)}
+        firsts = [self.submaps[bisect_left(self.stamps_ns, self.stamps_ns[one])] for one in near]
+        return min(firsts, key=lambda one: (abs(one.stamp_ns - stamp_ns), one.ordinal))
 
 
 def origin_by(record: MapRecord, rows: Iterable[AnchorRecord]) -> tuple[float, float, float] | None:

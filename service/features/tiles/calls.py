@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from revisit.core.errors import BadField
+from revisit.service.capacity.charged_work import ChargedWork
 from revisit.service.domain import limits
 from revisit.service.domain.errors import NoAnswer
 from revisit.service.domain.identity import TenantId
@@ -23,7 +24,6 @@ from revisit.service.features.catalogue.downloads import (
     RENDERING_BYTES,
     Download,
     DownloadKind,
-    Rendering,
     Room,
     any_room,
 )
@@ -92,11 +92,11 @@ class MapQuestion:
 class MapTiles:
     """List, download, measure."""
 
-    def __init__(self, context: CallContext, operations: Operations, rendering: Rendering) -> None:
-        """Tiles are made by jobs: `operations` waits for them, `rendering` makes their files."""
+    def __init__(self, context: CallContext, operations: Operations, work: ChargedWork) -> None:
+        """Tiles are made by jobs: `operations` waits for them, `work` makes their files."""
         self._context = context
         self._jobs = JoinedJobs(context, operations)
-        self._rendering = rendering
+        self._work = work
 
     async def list(self, tenant: TenantId, map_id: str, version: int, page: PageRequest) -> Page[MapTileView]:
         """The tiles that submaps may reach into, by frame, column and row. Raises NotFound."""
@@ -125,7 +125,7 @@ class MapTiles:
         sha256 = await self._made(tenant, key)
         await room(RENDERING_BYTES)
         blob = await asyncio.to_thread(self._context.storage.blobs.get, tenant, TILE_BLOB, sha256)
-        return await self._rendering.of(tenant, partial(render_tile, blob, key, kind, file_format))
+        return await self._work.of(tenant, partial(render_tile, blob, key, kind, file_format))
 
     async def distances(self, tenant: TenantId, question: MapQuestion) -> MapDistances:
         """Signed distances of points to the surface. Raises BadField, NotFound, NoAnswer, errors of the method."""

@@ -12,6 +12,8 @@ from typer.testing import CliRunner
 from revisit.cli.app import app
 from revisit.sdk.anchors import NewAnchor
 from revisit.sdk.errors import AlreadyExists, InvalidArgument, NotFound
+from revisit.service.capacity.limits import ANCHOR_POINTS, CREATION_POINTS
+from revisit.service.domain import limits
 from tests.support.bag_layouts import Layout
 
 FIX = NewAnchor(
@@ -45,6 +47,26 @@ def test_the_same_anchor_again_is_passed_over_and_another_of_its_id_is_refused(c
     with pytest.raises(AlreadyExists):
         client.sessions.post_anchors(session, [START, replace(FIX, stamp_ns=5)])
     assert len(client.sessions.anchors(session)) == 2
+
+
+def test_anchors_that_are_there_are_passed_over_though_the_session_has_room_for_no_more(client, session, monkeypatch):
+    monkeypatch.setattr(limits, "ANCHORS_OF_SESSION", 2)
+    posted = client.sessions.post_anchors(session, [FIX, POINT])
+    assert client.sessions.post_anchors(session, [FIX, POINT]) == posted
+    with pytest.raises(InvalidArgument, match="at most 2 anchors"):
+        client.sessions.post_anchors(session, [FIX, START])
+    assert client.sessions.anchors(session) == posted
+
+
+def test_anchors_are_charged_each_and_so_is_looking_for_their_poses(client, service, session, monkeypatch):
+    charged = []
+    monkeypatch.setattr(service.world.context.in_flight, "charge_call", lambda _, points: charged.append(points))
+    client.sessions.post_anchors(session, [FIX, POINT, START])
+    assert max(charged) == CREATION_POINTS + 3 * ANCHOR_POINTS
+    charged.clear()
+    with pytest.raises(InvalidArgument, match="no scans are stored"):
+        client.sessions.post_anchors(session, [replace(FIX, anchor_id="sought", T_odom_sensor=None)])
+    assert sorted(charged)[-1] == CREATION_POINTS + ANCHOR_POINTS and 0 < sorted(charged)[-2] < CREATION_POINTS
 
 
 def test_a_deleted_anchor_is_gone(client, session):

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import itertools
 import json
+import time
 
 import pytest
 from typer.testing import CliRunner
 
 from revisit.cli.app import app
 from revisit.sdk.errors import InvalidArgument, NotFound
+from revisit.service.capacity.limits import POINTS_PER_S
+from revisit.service.features.changes.rows import FoundChanges
 from revisit.service.features.tiles import rows as tile_rows
 from tests.support.service_world import cloud_points, pose
 
@@ -45,6 +48,22 @@ def test_what_a_drive_found_changed_is_told_with_that_drive_and_the_time_in_betw
 def test_drives_are_compared_once_and_the_changes_kept(client, service, driven_twice):
     found, before = client.map_changes(driven_twice), service.world.tiler.compared
     assert client.map_changes(driven_twice) == found and service.world.tiler.compared == before
+
+
+def test_whoever_lists_changes_is_charged_the_time_that_reading_them_takes(client, service, driven_twice, monkeypatch):
+    client.map_changes(driven_twice)
+    charged, read = [], FoundChanges.of
+
+    def slowly(blob):
+        until_s = time.thread_time() + 0.02
+        while time.thread_time() < until_s:
+            pass
+        return read(blob)
+
+    monkeypatch.setattr(FoundChanges, "of", slowly)
+    monkeypatch.setattr(service.world.context.in_flight, "charge_call", lambda _, points: charged.append(points))
+    assert client.map_changes(driven_twice)
+    assert max(charged) >= 0.02 * POINTS_PER_S
 
 
 def test_changes_are_those_found_between_two_moments(client, driven_twice):

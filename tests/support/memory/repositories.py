@@ -208,12 +208,11 @@ class MemoryScans(MemoryRepository[ScanRecord]):
         found = sorted((scan for scan in scans if first <= scan.seq <= last), key=lambda scan: scan.seq)
         return found if newest is None else found[-newest:]
 
-    def around(self, tenant: TenantId, map_id: str, session_id: str, first_ns: int, last_ns: int) -> list[ScanRecord]:
+    def around(self, tenant: TenantId, map_id: str, session_id: str, stamp_ns: int, limit: int) -> list[ScanRecord]:
         """See `ScanRepository`."""
         scans = sorted(self.find(tenant, map_id=map_id, session_id=session_id), key=lambda scan: scan.seq)
-        since = max((scan.stamp_ns for scan in scans if scan.stamp_ns <= first_ns), default=first_ns)
-        until = min((scan.stamp_ns for scan in scans if scan.stamp_ns >= last_ns), default=last_ns)
-        return [scan for scan in scans if since <= scan.stamp_ns <= until]
+        before = sum(scan.stamp_ns <= stamp_ns for scan in scans)
+        return scans[max(0, before - 1) :][:limit]
 
     def points_of(self, tenant: TenantId) -> int:
         """See `ScanRepository`."""
