@@ -29,6 +29,8 @@ NOT_THERE = frozenset({404})
 """To whom posts into a session that somebody deletes."""
 
 OF_A_BAD_DISK = frozenset({422, 507})
+COVARIANCE = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]
+
 NACKS = frozenset({"WORKERS_BUSY", "STORAGE_FULL", "STORAGE_UNCERTAIN"})
 
 MISTAKEN = (400, 405, 422, 500)
@@ -67,6 +69,8 @@ class Episode:
         self.backups: list[tuple[Path, frozenset[int]]] = []
         self.yard: dict[str, list[str]] = {}
         """Sessions of the yard, with the ids of the submaps that were sent there."""
+        self.anchors: dict[str, list[str]] = {}
+        """The ids of the anchors that were sent for sessions of the yard."""
         self.posters: list[Poster] = []
         self._ids = 0
 
@@ -107,10 +111,34 @@ class Episode:
             self.yard.setdefault(session_id, []).append(submap_id)
             poster.post(self.service.url, submap_id, place)
 
-    def remove(self, path: str, submap_ids: list[str]) -> None:
-        """Delete something that takes these submaps with it."""
+    def anchor(self, session_id: str, count: int) -> None:
+        """Post so many anchors on earth for a session of the yard."""
+        history, sent = self.fleet.history, []
+        for _ in range(count):
+            anchor_id, stamp_ns = self.new_id("a"), self.rng.randrange(1, 100)
+            position = (48.0, 11.0 + 1e-6 * stamp_ns, 500.0)
+            self.anchors.setdefault(session_id, []).append(anchor_id)
+            fields = {"anchor_id": anchor_id, "kind": "GNSS", "stamp_ns": stamp_ns, "covariance_enu": COVARIANCE}
+            place = {"geodetic": ",".join(map(str, position)), "T_odom_sensor": "0,0,0,0,0,0,1"}
+            operation = history.invoke("operator", Kind.PUT, f"anchor/{anchor_id}", str(position))
+            sent.append((operation, {**fields, **place}))
+        asked, anchors = f"maps/yard/sessions/{session_id}/anchors", [one for _, one in sent]
+        outcome = _outcome(self.call("POST", asked, anchors=anchors))
+        if outcome is Outcome.UNKNOWN:  # a repeated request has its effect once, and tells of nothing but itself
+            again = _outcome(self.call("POST", asked, anchors=anchors))
+            outcome = again if again is Outcome.OK else outcome
+        for operation, _ in sent:
+            history.settle(operation, outcome)
+
+    def remove_anchor(self, session_id: str, anchor_id: str) -> None:
+        """Delete an anchor of a session of the yard."""
+        self.anchors[session_id].remove(anchor_id)
+        self.remove(f"maps/yard/sessions/{session_id}/anchors/{anchor_id}", [f"anchor/{anchor_id}"])
+
+    def remove(self, path: str, keys: list[str]) -> None:
+        """Delete something that takes these submaps and anchors with it."""
         history = self.fleet.history
-        operations = [history.invoke("operator", Kind.DELETE, f"submap/{one}") for one in submap_ids]
+        operations = [history.invoke("operator", Kind.DELETE, one) for one in keys]
         answer = self.call("DELETE", path)
         status = answer.status_code if answer is not None else 0
         for operation in operations:
@@ -167,6 +195,13 @@ class Episode:
     def known_now(self) -> frozenset[int]:
         """The operations that a backup which begins now must show; what is under way may be in it or not."""
         return frozenset(id(one) for one in self.fleet.history.operations if one.outcome is not Outcome.UNKNOWN)
+
+
+def _outcome(answer: httpx.Response | None) -> Outcome:
+    """The outcome of a request by its answer (P2)."""
+    if answer is None or answer.status_code >= 500:
+        return Outcome.UNKNOWN
+    return Outcome.OK if answer.status_code == 200 else Outcome.FAIL
 
 
 def as_of(known: frozenset[int], operations: list[Operation]) -> list[Operation]:

@@ -101,22 +101,46 @@ def post_aside(it: Episode) -> None:
     names = list(it.yard)
     fresh = len(names) < MOST_SESSIONS and it.rng.random() < 0.5
     session_id = it.rng.choice(names) if names and not fresh else it.new_id("session")
-    it.call("POST", "maps/yard/sessions", session_id=session_id)
+    drift = it.rng.choice(({}, {"drift": "WHEEL"})) if fresh or not names else {}
+    it.call("POST", "maps/yard/sessions", session_id=session_id, **drift)
     it.post_aside(session_id, [it.rng.randrange(PLACES) for _ in range(it.rng.randrange(1, 6))])
+
+
+def anchor(it: Episode) -> None:
+    """Anchors for a session of the yard, now and then one that is there already, and one of them is deleted."""
+    if it.yard:
+        session_id = it.rng.choice(list(it.yard))
+        it.anchor(session_id, it.rng.randrange(1, 5))
+        if it.anchors.get(session_id) and it.rng.random() < 0.3:
+            it.remove_anchor(session_id, it.rng.choice(it.anchors[session_id]))
+
+
+def ask(it: Episode) -> None:
+    """Ask what changed in a map, and for a tile as of a moment, and do not wait for long."""
+    version = f"maps/{it.rng.choice(('town', 'yard'))}/versions/{it.rng.randrange(1, 6)}"
+    it.call("GET", f"{version}/changes", timeout_s=it.rng.uniform(0.1, 3.0))
+    answer = it.call("GET", f"{version}/tiles")
+    tiles = answer.json().get("map_tiles", []) if answer is not None and answer.status_code == 200 else []
+    if tiles:
+        moment = it.rng.choice(("", "&as_of_ns=5", "&ever=true"))
+        path = f"{it.rng.choice(tiles)['name']}:download?format=mesh{moment}"
+        it.call("GET", path, timeout_s=it.rng.uniform(0.1, 3.0))
 
 
 def delete_submap(it: Episode) -> None:
     """Delete one of a session of the yard."""
     if session_id := it.rng.choice([name for name, ids in it.yard.items() if ids] or [""]):
         submap_id = it.yard[session_id].pop(it.rng.randrange(len(it.yard[session_id])))
-        it.remove(f"maps/yard/sessions/{session_id}/submaps/{submap_id}", [submap_id])
+        it.remove(f"maps/yard/sessions/{session_id}/submaps/{submap_id}", [f"submap/{submap_id}"])
 
 
 def delete_session(it: Episode) -> None:
     """Delete a session of the yard."""
     if it.yard:
         session_id = it.rng.choice(list(it.yard))
-        it.remove(f"maps/yard/sessions/{session_id}", it.yard.pop(session_id))
+        gone = [f"submap/{one}" for one in it.yard.pop(session_id)]
+        gone += [f"anchor/{one}" for one in it.anchors.pop(session_id, [])]
+        it.remove(f"maps/yard/sessions/{session_id}", gone)
 
 
 def look(it: Episode) -> None:
@@ -181,6 +205,8 @@ MISHAPS: dict[Mishap, int] = {
     bad_links: 3,
     leave_calls: 4,
     post_aside: 12,
+    anchor: 6,
+    ask: 6,
     delete_submap: 4,
     delete_session: 2,
     look: 4,

@@ -1,10 +1,10 @@
 """A short drive through every step of the service, in one process over SQLite and files: something to interrupt.
 
-Three sessions are opened, submaps posted (two of one place, one that cannot be described), scans appended, one submap
-and one session deleted, another session finished, and the jobs run. The map is optimised twice, its rejected loops are
-tested again, a tile made, its drives compared, and its first version brought back; a second map is merged into it,
-and taken out again. Doing it again after a crash must end where an undisturbed run does: every step carries the
-client's own ids.
+Four sessions are opened, one of which states its drift, submaps posted (two of one place, one that cannot be
+described), scans appended, anchors posted, of which one is deleted, one submap and one session deleted, another session
+finished, and the jobs run. The map is optimised twice, its rejected loops are tested again, tiles made of now and of a
+moment, its drives compared, and its first version brought back; a second map with anchors is merged into it, and taken
+out again. Doing it again after a crash must end where an undisturbed run does: every step carries the client's own ids.
 """
 
 from __future__ import annotations
@@ -18,24 +18,29 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from revisit.core.index import FaissIndex
 from revisit.service.domain.errors import NotFound, SessionFinished
 from revisit.service.domain.identity import SessionKey, SubmapKey
-from revisit.service.domain.states import OperationKind
+from revisit.service.domain.states import AnchorFrame, AnchorKind, OperationKind
 from revisit.service.engines.local.files.index_files import IndexFiles
 from revisit.service.engines.local.sqlite.migration import migrate
 from revisit.service.engines.local.vector_index import PlaceVectorIndex
+from revisit.service.features.anchors.rules import NewAnchor
 from revisit.service.features.catalogue.downloads import DownloadKind
+from revisit.service.features.catalogue.sessions import CreateSession
 from revisit.service.features.graph.map_jobs import post_map_job
 from revisit.service.features.index.keeping import IndexHealth
 from revisit.service.features.merging.calls import MergeMap
 from revisit.service.features.resources.paging import PageRequest
 from revisit.service.features.upkeep.sweeping import UNREFERENCED_S, collect
+from revisit.service.ports.map_tiles import Moment
 from revisit.service.ports.transactions import UnitOfWork
 from tests.faults.history import History, Kind, Outcome
 from tests.support.fake_merger import EasyMerger
 from tests.support.fake_recogniser import CANNOT_BE_DESCRIBED
-from tests.support.service_world import TENANT, World, cloud_points, open_session, scan, sqlite_world, submap
+from tests.support.service_world import TENANT, World, cloud_points, open_session, pose, scan, sqlite_world, submap
 from tests.support.stepped_clock import PassingClock
 
 POSTED = SessionKey("town", "posted")
@@ -50,6 +55,13 @@ SCRAPPED_PLACES = {"scrapped-described": 1, "scrapped-waiting": 5}
 ANNEX = SessionKey("annex", "tuesday")
 ANNEX_PLACES = {"annex-a": 1, "annex-d": 3}
 """Submaps of another map: they close loops with a, c and d."""
+
+MISREAD = "misread"
+FIXES = {"told": (POSTED, 1_001), "between": (STREAMED, 250), MISREAD: (STREAMED, 350), "copied": (ANNEX, 1_003)}
+"""Anchors with their sessions and times. Of those of the scans the scans tell the pose; one is deleted."""
+
+AS_OF_NS = 1_001
+"""A moment at which some submaps were seen."""
 
 DEGENERATE = "degenerate"
 DELETED = "b"
@@ -70,12 +82,15 @@ async def drive(world: World, history: History) -> None:
     await _collect(world)
     for session in (POSTED, STREAMED, SCRAPPED):
         await open_session(world, session)
+    await world.use_cases.sessions.create(TENANT, CreateSession(POSTED.map_id, "stated", drift="WHEEL"))
     for submap_id, place in PLACES.items():
         await _post(world, history, submap_id, place, 300)
     await _post(world, history, DEGENERATE, 4, CANNOT_BE_DESCRIBED)
     with contextlib.suppress(SessionFinished):
         for seq in range(1, SCANS + 1):
             await _append(world, history, seq)
+    for anchor_id in ("told", "between", MISREAD):
+        await _anchor(world, history, anchor_id)
     described, waiting = SCRAPPED_PLACES
     await _post(world, history, described, SCRAPPED_PLACES[described], 300, SCRAPPED)
     world.work_off()
@@ -83,6 +98,8 @@ async def drive(world: World, history: History) -> None:
     removed = world.use_cases.submaps.delete(TENANT, SubmapKey(POSTED.map_id, POSTED.session_id, DELETED))
     await _delete(removed, history, DELETED)
     await _delete(world.use_cases.sessions.delete(TENANT, SCRAPPED), history, *SCRAPPED_PLACES)
+    misread = world.use_cases.anchors.delete(TENANT, STREAMED.map_id, STREAMED.session_id, MISREAD)
+    await _delete(misread, history, MISREAD, of="anchor")
     await _collect(world)
     await world.use_cases.sessions.finish(TENANT, STREAMED)
     world.work_off()
@@ -117,7 +134,8 @@ async def _publish_and_look(world: World) -> None:
     await world.use_cases.map_files.publish(TENANT, POSTED.map_id, 1)
     world.work_off()
     tiles = await world.use_cases.map_tiles.list(TENANT, POSTED.map_id, 1, PageRequest())
-    await _worked_off(world, world.use_cases.map_tiles.download(TENANT, tiles.items[0].key, DownloadKind.MESH))
+    for key in (tiles.items[0].key, replace(tiles.items[0].key, moment=Moment(AS_OF_NS))):
+        await _worked_off(world, world.use_cases.map_tiles.download(TENANT, key, DownloadKind.MESH))
     await _worked_off(world, world.use_cases.map_changes.list(TENANT, POSTED.map_id, 1, PageRequest()))
 
 
@@ -142,6 +160,7 @@ async def _merge_and_take_back(world: World, history: History) -> None:
     await open_session(world, ANNEX)
     for submap_id, place in ANNEX_PLACES.items():
         await _post(world, history, submap_id, place, 300, ANNEX)
+    await _anchor(world, history, "copied")
     world.work_off()
     jobs = world.context.transactions.read(lambda uow: uow.jobs.count(TENANT, kind="MERGE_MAP")).result()
     if not jobs:
@@ -169,6 +188,18 @@ async def _post(
     history.settle(operation, Outcome.OK)
 
 
+async def _anchor(world: World, history: History, anchor_id: str) -> None:
+    """Post an anchor on earth, so that it is copied with its session."""
+    session, stamp_ns = FIXES[anchor_id]
+    position = (48.0, 11.0 + 1e-6 * stamp_ns, 500.0)
+    T_odom_sensor = None if session == STREAMED else pose()
+    kind, frame, covariance = AnchorKind.GNSS, AnchorFrame.WGS84, tuple(np.eye(3).ravel().tolist())
+    anchor = NewAnchor(anchor_id, kind, frame, stamp_ns, position, covariance, T_odom_sensor=T_odom_sensor)
+    operation = history.invoke("surveyor", Kind.PUT, f"anchor/{anchor_id}", str(position))
+    await world.use_cases.anchors.post(TENANT, session, [anchor])
+    history.settle(operation, Outcome.OK)
+
+
 async def _append(world: World, history: History, seq: int) -> None:
     opened = await world.use_cases.scans.open(TENANT, STREAMED)
     resumed = history.invoke("scanner", Kind.RESUME, "stream")
@@ -178,9 +209,9 @@ async def _append(world: World, history: History, seq: int) -> None:
     history.settle(operation, Outcome.OK)
 
 
-async def _delete(removal: Awaitable[None], history: History, *submap_ids: str) -> None:
-    """Do `removal`, which takes these submaps with it."""
-    operations = [history.invoke("operator", Kind.DELETE, f"submap/{submap_id}") for submap_id in submap_ids]
+async def _delete(removal: Awaitable[None], history: History, *ids: str, of: str = "submap") -> None:
+    """Do `removal`, which takes these submaps, or anchors, with it."""
+    operations = [history.invoke("operator", Kind.DELETE, f"{of}/{one}") for one in ids]
     outcome = Outcome.OK
     try:
         await removal

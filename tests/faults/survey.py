@@ -85,6 +85,9 @@ def _survey(uow: UnitOfWork, blobs: BlobStore, tenant: TenantId) -> Survey:
             found.rows.extend(_stored(f"submap/{record.submap_id}", record.cloud_sha256, blobs, tenant, found.problems))
     for scan in scans:
         found.rows.extend(_stored(f"scan/{scan.seq}", scan.cloud_sha256, blobs, tenant, found.problems))
+    for anchor in uow.anchors.find(tenant):
+        if (anchor.map_id, anchor.session_id) not in copied:
+            found.rows.append(Stored(f"anchor/{anchor.anchor_id}", str(anchor.position)))
     for session in uow.sessions.find(tenant):
         found.committed[session.session_id] = session.committed_seq
         found.problems.extend(_session_problems(session, submaps, scans))
@@ -168,6 +171,9 @@ def _version_problems(uow: UnitOfWork, record: MapRecord) -> Iterator[str]:
     versions = uow.map_versions.distinct(record.tenant, "version", map_id=record.map_id)
     if record.map_version != max(versions, default=0):
         yield f"{record.map_id}: version {record.map_version} is in force, there are {sorted(versions)}"
+    for tile in uow.map_tiles.find(record.tenant, map_id=record.map_id):
+        if tile.version not in versions:
+            yield f"{record.map_id}: {tile.tile_id} is of version {tile.version}, which is gone"
     for version in versions:
         if not uow.session_poses.count(record.tenant, map_id=record.map_id, version=version):
             yield f"{record.map_id}: version {version} has no poses"

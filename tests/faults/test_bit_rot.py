@@ -4,16 +4,21 @@ from __future__ import annotations
 
 import asyncio
 import random
+from contextlib import closing
 from pathlib import Path
 
 import pytest
 
 from revisit.core.errors import DataLoss
 from revisit.service.domain.identity import SubmapKey
-from revisit.service.engines.local.files.blobs import FileBlobStore
+from revisit.service.engines.local.files.blobs import FileBlobStore, blob_path
+from revisit.service.engines.local.sqlite.blob_rows import named_blobs
+from revisit.service.engines.local.sqlite.connections import DATABASE, open_to_read
+from revisit.service.engines.local.sqlite.examination import examine
 from revisit.service.features.catalogue.downloads import DownloadKind
 from revisit.service.features.deletion.blob_references import blobs_of_submap
-from revisit.service.ports.blobs import CLOUD_BLOB, NEURAL_MAP_BLOB
+from revisit.service.ports.blobs import CLOUD_BLOB, MAP_LAYOUT_BLOB, NEURAL_MAP_BLOB, PLACE_BLOB, TILE_BLOB
+from tests.faults.drive import undisturbed
 from tests.support.campaigns import Campaign, sizes
 from tests.support.service_world import SESSION, TENANT, World, open_session, sqlite_world, submap
 
@@ -58,6 +63,22 @@ def flipped(data: bytes, rng: random.Random) -> bytes:
     changed = bytearray(data)
     changed[rng.randrange(len(data))] ^= 1 << rng.randrange(8)
     return bytes(changed)
+
+
+def test_a_flipped_bit_of_any_kind_of_blob_is_noticed_and_the_others_are_whole(tmp_path):
+    (tmp_path / "home").mkdir()
+    undisturbed(tmp_path / "home", tmp_path / "log")
+    rng, kinds = random.Random(29), {CLOUD_BLOB, PLACE_BLOB, NEURAL_MAP_BLOB, TILE_BLOB, MAP_LAYOUT_BLOB}
+    with closing(open_to_read(tmp_path / "home" / DATABASE)) as rows:
+        named = list(named_blobs(rows))
+    assert {blob.kind for blob in named} == kinds
+    for blob in named:
+        path = blob_path(tmp_path / "home/blobs", blob)
+        sound = path.read_bytes()
+        path.write_bytes(flipped(sound, rng))
+        wrong = [one.detail for one in examine(tmp_path / "home", full=True) if one.ok is False]
+        assert len(wrong) == 1 and blob.sha256[:12] in wrong[0], (blob, wrong)
+        path.write_bytes(sound)
 
 
 @pytest.mark.parametrize("flips", sizes("BIT_FLIPS", 30, 1_000))

@@ -15,12 +15,14 @@ from revisit.service.engines import move
 from revisit.service.engines.local.files.blobs import FileBlobStore
 from revisit.service.engines.local.files.home_lock import sole_gateway
 from revisit.service.engines.local.sqlite import connections as sqlite
+from revisit.service.engines.local.sqlite.examination import examine
 from revisit.service.engines.local.sqlite.migration import migrate
 from revisit.service.engines.move import MoveRefused, digest, move_blobs, move_rows, require_empty
 from revisit.service.engines.postgres import connections as postgres
 from revisit.service.engines.postgres.transactions import PostgresTransactions
 from revisit.service.engines.s3.blobs import S3BlobStore
 from revisit.service.features.audit.calls import judge
+from tests.faults.drive import undisturbed
 from tests.support.credentials import a_key
 from tests.support.live_service import connected, live_service, published_drives
 from tests.support.postgres import shared_server
@@ -79,6 +81,32 @@ async def test_rows_are_the_same_in_postgresql_and_back_again(home, tmp_path, se
     assert digest(back) == there
     for engine in (source, target, back):
         engine.dispose()
+
+
+def test_what_a_whole_drive_has_left_is_the_same_in_postgresql_and_back_again(tmp_path, server):
+    """Every table with rows that a client has caused: anchors, versions with verdicts on them, changes, merges."""
+    (tmp_path / "home").mkdir()
+    undisturbed(tmp_path / "home", tmp_path / "log")
+    source, target = engines(tmp_path / "home", server.made_database())
+    moved(source, target)
+    there = digest(target)
+    assert there == digest(source)
+    filled = {name for name, rows in there[0].items() if rows}
+    assert {"anchors", "loop_events", "map_files", "map_merges", "map_tiles", "map_versions"} <= filled
+    (tmp_path / "back").mkdir()
+    migrate(tmp_path / "back" / sqlite.DATABASE)
+    back = sqlite.writer_engine(tmp_path / "back" / sqlite.DATABASE, checkpoints=True)
+    moved(target, back)
+    assert digest(back) == there
+    for engine in (source, target, back):
+        engine.dispose()
+    assert complaints(tmp_path / "back") == []
+
+
+def complaints(home) -> list[str]:
+    """Rows that are not what was written, and references that dangle."""
+    checks = ("rows", "references", "database", "schema")
+    return [one.detail for one in examine(home, full=True) if one.ok is False and one.check in checks]
 
 
 async def test_a_broken_move_goes_on_where_it_ended(home, server, monkeypatch):
