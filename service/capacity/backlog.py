@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
 import secrets
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any
 
 from revisit.service.capacity.in_flight import InFlight
@@ -90,6 +93,16 @@ def same_job(
     return next((job for jobs in found for job in jobs if job.payload == payload), None)
 
 
+_READ_WITHIN_NS = 60 * 10**9
+"""An answer gives its place to that to the same question later: whoever waited for it has read it by then."""
+
+
+def _question_id(job: JobRecord) -> str:
+    """The id of a question by all that it asks."""
+    asked = json.dumps([job.kind, job.subject, job.payload], sort_keys=True)
+    return f"op-{hashlib.sha256(asked.encode()).hexdigest()[:20]}"
+
+
 class JobPosting:
     """Adds jobs to the queue, within the limit of the backlog."""
 
@@ -104,6 +117,24 @@ class JobPosting:
     ) -> JobRecord:
         """Queue a new job. Raises WorkersBusy."""
         return self.enqueue(uow, self.made(tenant, kind, subject, payload))
+
+    def ask(
+        self, uow: UnitOfWork, tenant: TenantId, kind: OperationKind, subject: str, payload: dict[str, Any]
+    ) -> tuple[JobRecord, bool]:
+        """Queue a question with a long payload, or join the same one that has not ended; whether it was joined.
+
+        It is known by its id: the payloads of others that wait are not read. Raises WorkersBusy; AlreadyExists where
+        another gateway has queued it at this moment.
+        """
+        job = self.made(tenant, kind, subject, payload)
+        asked = replace(job, operation_id=_question_id(job))
+        known = uow.jobs.get(tenant, asked.operation_id)
+        if known is not None and not known.done:
+            return known, True
+        if known is not None and job.created_at_ns < (known.finished_at_ns or 0) + _READ_WITHIN_NS:
+            return self.enqueue(uow, job), False
+        uow.jobs.delete(tenant, operation_id=asked.operation_id)
+        return self.enqueue(uow, asked), False
 
     def made(self, tenant: TenantId, kind: OperationKind, subject: str, payload: dict[str, Any]) -> JobRecord:
         """A job that is not queued yet. Those for which a client waits go before others, some after."""

@@ -14,7 +14,6 @@ from revisit.core.errors import BadField
 from revisit.core.geometry import se3
 from revisit.core.geometry.se3 import Matrix4
 from revisit.core.pose_graph.anchors import AnchorReason, AnchorState
-from revisit.service.capacity.backlog import same_job
 from revisit.service.capacity.charged_work import ChargedWork
 from revisit.service.capacity.limits import ANCHOR_POINTS
 from revisit.service.domain import limits
@@ -81,7 +80,7 @@ class Anchors:
         return [one.record(tenant, key, T, now_ns) for one, T in zip(posted, poses, strict=True)]
 
     async def preview(self, tenant: TenantId, key: SessionKey, anchors: Sequence[NewAnchor]) -> PostedOperation:
-        """Queue the question of what anchors would do to the map; the same one that waits already is answered.
+        """Queue the question of what anchors would do to the map; the same one that has not ended is answered.
 
         Raises as `post`, and WorkersBusy.
         """
@@ -95,11 +94,8 @@ class Anchors:
         require_map(uow, tenant, key.map_id, hold=True)
         for row in rows:
             _known(uow, row)
-        waiting = same_job(uow, tenant, OperationKind.PREVIEW_ANCHORS, key.name, payload)
-        if waiting is not None:
-            return PostedOperation(waiting, replay=True)
-        posted = self._context.jobs.post(uow, tenant, OperationKind.PREVIEW_ANCHORS, key.name, payload)
-        return PostedOperation(posted, replay=False)
+        asked, replay = self._context.jobs.ask(uow, tenant, OperationKind.PREVIEW_ANCHORS, key.name, payload)
+        return PostedOperation(asked, replay)
 
     async def _sensor_poses(self, tenant: TenantId, key: SessionKey, anchors: Sequence[NewAnchor]) -> list[Matrix4]:
         """See the function; what is read of scans is charged."""

@@ -7,13 +7,16 @@ from typing import Any
 
 from revisit.service.capacity.backlog import same_job
 from revisit.service.domain import limits
-from revisit.service.domain.errors import NoAnswer, error_of
+from revisit.service.domain.errors import AlreadyExists, NoAnswer, error_of
 from revisit.service.domain.identity import TenantId
 from revisit.service.domain.records import JobRecord
 from revisit.service.domain.states import OperationKind, OperationState
 from revisit.service.features.operations.calls import Operations
 from revisit.service.features.resources.call_context import CallContext
 from revisit.service.ports.transactions import UnitOfWork
+
+_LONG = (OperationKind.MEASURE_MAP,)
+"""Kinds of jobs with payloads of many points, of which there are many with one subject."""
 
 
 class JoinedJobs:
@@ -30,7 +33,10 @@ class JoinedJobs:
         """Queue a job, or join the same one, and wait for it. Raises the worker's error, NoAnswer, WorkersBusy."""
         self._context.admission.require_storage()
         post = partial(self._posted, tenant=tenant, kind=kind, subject=subject, payload=payload)
-        job = await self._context.storage.write(post)
+        try:
+            job = await self._context.storage.write(post)
+        except AlreadyExists:  # another gateway was first
+            job = await self._context.storage.write(post)
         operation = await self._operations.wait(tenant, job.operation_id, limits.TILE_WAIT_S)
         if operation.failure_code is not None:
             raise error_of(operation.failure_code, operation.failure_message or "")
@@ -42,5 +48,7 @@ class JoinedJobs:
     def _posted(
         self, uow: UnitOfWork, tenant: TenantId, kind: OperationKind, subject: str, payload: dict[str, Any]
     ) -> JobRecord:
+        if kind in _LONG:
+            return self._context.jobs.ask(uow, tenant, kind, subject, payload)[0]
         under_way = same_job(uow, tenant, kind, subject, payload, (OperationState.QUEUED, OperationState.RUNNING))
         return under_way or self._context.jobs.post(uow, tenant, kind, subject, payload)
