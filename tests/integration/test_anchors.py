@@ -243,6 +243,24 @@ async def test_a_merge_leaves_a_map_on_earth_and_brings_the_anchors_of_the_other
     assert error_m(world, made, after) < 1.0
 
 
+async def test_a_map_that_lay_on_earth_by_a_merge_alone_does_not_when_that_is_taken_back():
+    world = memory_world()
+    made = fleet_in_two(world, ("town", "annex"), seed=4, sessions=2, submaps=60, per_pair=0).fleet
+    with_stamps(world), with_stamps(world, "annex")
+    before = await optimised(world)
+    await world.use_cases.anchors.post(TENANT, SessionKey("annex", "s1"), new_anchors(made, "s1"))
+    await world.use_cases.map_merges.merge(TENANT, MergeMap("town", "annex"))
+    world.work_off()
+    merged = await optimised(world)
+    assert "georeferences" in merged.summary
+    (merge,) = rows(world, "map_merges")
+    await world.use_cases.map_merges.revert(TENANT, "town", merge.merge_id)
+    back = (await world.use_cases.map_versions.list(TENANT, "town", PageRequest(100))).items[-1]
+    assert back.content_hash == before.content_hash
+    assert [one.origin for one in rows(world, "maps")] == [None]
+    assert [one.version for one in rows(world, "map_versions") if "georeferences" in one.summary] == []
+
+
 async def test_anchors_that_are_posted_again_change_nothing_and_queue_nothing():
     world = memory_world(optimise_after_loops=1)
     made = fleet_in(world, "town", 0.0, sessions=1, submaps=10).fleet

@@ -15,7 +15,7 @@ from revisit.service.domain.callers import current_actor
 from revisit.service.domain.errors import NotFound, NotReady
 from revisit.service.domain.identity import SessionKey, TenantId
 from revisit.service.domain.records import MapMergeRecord
-from revisit.service.domain.states import OperationKind
+from revisit.service.domain.states import AnchorFrame, OperationKind
 from revisit.service.failpoints import failpoint
 from revisit.service.features.audit import calls as audit
 from revisit.service.features.audit.calls import AuditEntry
@@ -28,6 +28,7 @@ from revisit.service.features.optimisation.rows import MAP_REVERTED
 from revisit.service.features.resources.call_context import CallContext
 from revisit.service.features.resources.paging import Page, PageRequest, as_it_is
 from revisit.service.features.resources.views import PostedOperation
+from revisit.service.ports.map_optimiser import GEOREFERENCES
 from revisit.service.ports.storage import require_map, require_session
 from revisit.service.ports.transactions import UnitOfWork
 
@@ -135,6 +136,7 @@ class MapMerges:
         audit.append(uow, now_ns, entry)
         drop_waiting(uow, tenant, map_id, MAP_REVERTED, now_ns)
         _delete_copies(uow, merge, now_ns)
+        _forget_origin(uow, merge)
         failpoint("unmerge.after_rows")
         restore_version(uow, require_map(uow, tenant, map_id), merge.version_before, now_ns)
         reverted = replace(merge, reverted_at_ns=now_ns)
@@ -150,6 +152,23 @@ def _delete_copies(uow: UnitOfWork, merge: MapMergeRecord, now_ns: int) -> None:
         session = uow.sessions.get(merge.tenant, merge.map_id, session_id)
         if session is not None:
             mark_session(uow, record, session, now_ns)
+
+
+def _forget_origin(uow: UnitOfWork, merge: MapMergeRecord) -> None:
+    """A map lies on earth by an anchor of its own: where the copies alone had some, it has no origin again.
+
+    Nor have the versions since the merge their places relative to it.
+    """
+    record = require_map(uow, merge.tenant, merge.map_id)
+    if record.origin is None:
+        return
+    if uow.anchors.find(merge.tenant, limit=1, map_id=merge.map_id, frame=AnchorFrame.WGS84.value):
+        return
+    uow.maps.replace(replace(record, origin=None))
+    for version in uow.map_versions.find(merge.tenant, map_id=merge.map_id):
+        if version.version >= merge.version and GEOREFERENCES in version.summary:
+            left = {name: one for name, one in version.summary.items() if name != GEOREFERENCES}
+            uow.map_versions.replace(replace(version, summary=left))
 
 
 def _require_merge(uow: UnitOfWork, tenant: TenantId, map_id: str, merge_id: str) -> MapMergeRecord:
