@@ -34,7 +34,7 @@ from revisit.service.features.resources.paging import Page, PageRequest, as_it_i
 from revisit.service.features.tiles.files import render_tile
 from revisit.service.features.tiles.rows import Tiling, found_tile, read_tiling
 from revisit.service.ports.blobs import TILE_BLOB
-from revisit.service.ports.map_tiles import NOW, Moment, TileKey
+from revisit.service.ports.map_tiles import NOW, Moment, TileKey, stored_tile
 from revisit.service.ports.transactions import UnitOfWork
 
 
@@ -146,15 +146,23 @@ class MapTiles:
 
     async def _made(self, tenant: TenantId, key: TileKey) -> str:
         """The hash of the blob of a tile, made by a worker where it is missing."""
-        find = partial(found_tile, policy=self._context.policy, tenant=tenant, key=key)
-        key, sha256 = await self._context.storage.read(find)
+        key, sha256 = await self._found(tenant, key)
         if sha256 is None:
             payload = {"map_id": key.map_id, "version": key.version, "tile": key.tile_id, **asdict(key.moment)}
             await self._jobs.answer(tenant, OperationKind.MAKE_TILE, key.name, payload)
-            _, sha256 = await self._context.storage.read(find)
+            sha256 = await self._context.storage.read(partial(stored_tile, tenant=tenant, key=key))
         if sha256 is None:
             raise NoAnswer("the tile was deleted while it was made; ask again")
         return sha256
+
+    async def _found(self, tenant: TenantId, key: TileKey) -> tuple[TileKey, str | None]:
+        """As `found_tile`. Where submaps are read for it, which may be thousands, that is charged."""
+        if key.moment.as_of_ns is None:
+            sha256 = await self._context.storage.read(partial(stored_tile, tenant=tenant, key=key))
+            if sha256 is not None:
+                return key, sha256
+        find = partial(found_tile, policy=self._context.policy, tenant=tenant, key=key)
+        return await self._work.of(tenant, partial(self._context.storage.transactions.read_here, find))
 
     async def _measured(self, tenant: TenantId, question: MapQuestion) -> dict[str, Any]:
         points = question.points_m

@@ -167,11 +167,8 @@ def found_tile(uow: UnitOfWork, policy: Policy, tenant: TenantId, key: TileKey) 
 
     Raises as `read_plan`.
     """
-    sha256 = stored_tile(uow, tenant, key) if key.moment.as_of_ns is None else None
-    if sha256 is None:
-        key = read_plan(uow, policy, tenant, key).key
-        sha256 = stored_tile(uow, tenant, key)
-    return key, sha256
+    key = read_plan(uow, policy, tenant, key).key
+    return key, stored_tile(uow, tenant, key)
 
 
 def _by_then(

@@ -53,17 +53,29 @@ def test_drives_are_compared_once_and_the_changes_kept(client, service, driven_t
 def test_whoever_lists_changes_is_charged_the_time_that_reading_them_takes(client, service, driven_twice, monkeypatch):
     client.map_changes(driven_twice)
     charged, read = [], FoundChanges.of
-
-    def slowly(blob):
-        until_s = time.thread_time() + 0.02
-        while time.thread_time() < until_s:
-            pass
-        return read(blob)
-
-    monkeypatch.setattr(FoundChanges, "of", slowly)
+    monkeypatch.setattr(FoundChanges, "of", lambda blob: busy_s(0.02) or read(blob))
     monkeypatch.setattr(service.world.context.in_flight, "charge_call", lambda _, points: charged.append(points))
     assert client.map_changes(driven_twice)
     assert max(charged) >= 0.02 * POINTS_PER_S
+
+
+def test_whoever_asks_for_a_moment_is_charged_the_time_that_reading_its_submaps_takes(
+    client, service, driven_twice, monkeypatch
+):
+    tile = next(one for one in client.map_tiles(driven_twice) if one.name.endswith(".0.0"))
+    client.download_tile(tile, "mesh", as_of_ns=TUESDAY)
+    charged, plan = [], tile_rows.read_plan
+    monkeypatch.setattr(tile_rows, "read_plan", lambda *asked: busy_s(0.02) or plan(*asked))
+    monkeypatch.setattr(service.world.context.in_flight, "charge_call", lambda _, points: charged.append(points))
+    client.download_tile(tile, "mesh", as_of_ns=TUESDAY + 1)
+    assert max(charged) >= 0.02 * POINTS_PER_S
+
+
+def busy_s(seconds: float) -> None:
+    """Take so much time of a core."""
+    until_s = time.thread_time() + seconds
+    while time.thread_time() < until_s:
+        pass
 
 
 def test_changes_are_those_found_between_two_moments(client, driven_twice):
