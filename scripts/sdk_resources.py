@@ -38,7 +38,8 @@ MADE = (
     loop_closure_pb2.RelocalisedPose, loop_closure_pb2.RelocaliseDrive, loop_closure_pb2.RelocaliseAnswer,
     loop_closure_pb2.LoopClosure, loop_closure_pb2.LoopClosureEvent, mapping_pb2.MapChange, mapping_pb2.MapMerge,
     mapping_pb2.RefusedJoin, mapping_pb2.MapVersionSummary, mapping_pb2.MapVersion, mapping_pb2.SubmapPose,
-    mapping_pb2.Correction, map_file_pb2.MapFile, event_pb2.Event, webhook_pb2.WebhookDelivery,
+    mapping_pb2.Correction, mapping_pb2.DriveChanges, map_file_pb2.MapFile, event_pb2.Event,
+    webhook_pb2.WebhookDelivery,
 )  # fmt: skip
 """Messages that become resources field by field. All others are written by hand in `revisit.sdk.own_resources`."""
 

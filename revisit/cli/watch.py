@@ -16,9 +16,9 @@ from revisit.cli.options import HTTP, Http, MapName
 from revisit.cli.output import plain, refuse, say, signs
 
 if TYPE_CHECKING:
-    from revisit.sdk.resources import Anchor, Event, LoopClosure, MapVersion, Operation, RetentionReport
+    from revisit.sdk.resources import Anchor, DriveChanges, Event, LoopClosure, MapVersion, Operation, RetentionReport
 
-KINDS = ("LOOP_CLOSURE", "OPERATION", "MAP_VERSION", "RETENTION", "ANCHOR")
+KINDS = ("LOOP_CLOSURE", "OPERATION", "MAP_VERSION", "RETENTION", "ANCHOR", "MAP_CHANGED")
 
 
 def watch(
@@ -63,6 +63,8 @@ def _sentences(event: Event) -> Iterator[str]:
         yield number + _of_retention(event.retention)
     elif event.anchor is not None:
         yield number + _of_anchor(event.anchor)
+    elif event.drive_changes is not None:
+        yield number + _of_changes(event.drive_changes)
     else:
         yield number + "earlier events are no longer kept: list again what is of interest"
 
@@ -95,6 +97,13 @@ def _of_anchor(anchor: Anchor) -> str:
     said = _OF_ANCHORS.get(anchor.state or "", "is not judged")
     off = "" if anchor.residual_m is None else f", {hypot(*anchor.residual_m):.2f} m off"
     return f"anchor {said}: {short_name(anchor.name)}{off}{f', {anchor.reason}' if anchor.reason else ''}"
+
+
+def _of_changes(changes: DriveChanges) -> str:
+    found = {"appeared": changes.appeared, "vanished": changes.vanished, "moved": changes.moved, "back": changes.back}
+    return (
+        f"{short_name(changes.session)} found {', '.join(f'{count} {kind}' for kind, count in found.items() if count)}"
+    )
 
 
 def short_name(name: str) -> str:

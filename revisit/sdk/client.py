@@ -284,8 +284,8 @@ class Client:
         """The events of a map as they happen, in a loop: `for event in client.watch("maps/yard"): ...`.
 
         `after` is the number of the last event that was seen, 0 for all that are kept; without it, from now on.
-        `kinds` keeps LOOP_CLOSURE, OPERATION, MAP_VERSION, RETENTION or ANCHOR. It bridges lost connections; leave the
-        loop to end it.
+        `kinds` keeps LOOP_CLOSURE, OPERATION, MAP_VERSION, RETENTION, ANCHOR or MAP_CHANGED. It bridges lost
+        connections; leave the loop to end it.
         """
         fields = {"parent": name_of(map_, names.MAP), "after": after, "kinds": list(kinds)}
         return Watch(self._transport, request_of(event_pb2.WatchEventsRequest, fields))

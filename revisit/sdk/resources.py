@@ -645,6 +645,20 @@ class Correction(Resource):
 
 
 @dataclass(frozen=True, kw_only=True)
+class DriveChanges(Resource):
+    """How many things a drive found changed since earlier drives."""
+
+    session: str = ""
+    """maps/{map}/sessions/{session}: the drive that found them."""
+    map_version: str = ""
+    """maps/{map}/versions/{version}, whose changes list them."""
+    appeared: int = 0
+    vanished: int = 0
+    moved: int = 0
+    back: int = 0
+
+
+@dataclass(frozen=True, kw_only=True)
 class MapFile(Resource):
     """A version of a map as one file."""
 
@@ -676,7 +690,7 @@ class Event(Resource):
     number.
     """
     kind: str = ""
-    """LOOP_CLOSURE, OPERATION, OPENED, MAP_VERSION, RETENTION, ANCHOR or FORGOTTEN."""
+    """LOOP_CLOSURE, OPERATION, OPENED, MAP_VERSION, RETENTION, ANCHOR, MAP_CHANGED or FORGOTTEN."""
     map: str = ""
     """maps/{map}"""
     loop_closure: LoopClosure | None = None
@@ -684,6 +698,7 @@ class Event(Resource):
     map_version: MapVersion | None = None
     retention: RetentionReport | None = None
     anchor: Anchor | None = None
+    drive_changes: DriveChanges | None = None
 
 
 @dataclass(frozen=True, kw_only=True)

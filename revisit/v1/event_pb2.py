@@ -29,7 +29,7 @@ from revisit.v1 import operation_pb2 as revisit_dot_v1_dot_operation__pb2
 from revisit.v1 import retention_pb2 as revisit_dot_v1_dot_retention__pb2
 
 
-DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n\x16revisit/v1/event.proto\x12\nrevisit.v1\x1a\x17revisit/v1/anchor.proto\x1a\x1drevisit/v1/loop_closure.proto\x1a\x18revisit/v1/mapping.proto\x1a\x1arevisit/v1/operation.proto\x1a\x1arevisit/v1/retention.proto\"\xc1\x03\n\x05\x45vent\x12\x0e\n\x06number\x18\x01 \x01(\x04\x12$\n\x04kind\x18\x02 \x01(\x0e\x32\x16.revisit.v1.Event.Kind\x12\x0b\n\x03map\x18\x03 \x01(\t\x12/\n\x0cloop_closure\x18\x04 \x01(\x0b\x32\x17.revisit.v1.LoopClosureH\x00\x12*\n\toperation\x18\x05 \x01(\x0b\x32\x15.revisit.v1.OperationH\x00\x12-\n\x0bmap_version\x18\x06 \x01(\x0b\x32\x16.revisit.v1.MapVersionH\x00\x12\x30\n\tretention\x18\x07 \x01(\x0b\x32\x1b.revisit.v1.RetentionReportH\x00\x12$\n\x06\x61nchor\x18\x08 \x01(\x0b\x32\x12.revisit.v1.AnchorH\x00\"\x84\x01\n\x04Kind\x12\x14\n\x10KIND_UNSPECIFIED\x10\x00\x12\x10\n\x0cLOOP_CLOSURE\x10\x01\x12\r\n\tOPERATION\x10\x02\x12\n\n\x06OPENED\x10\x03\x12\x0f\n\x0bMAP_VERSION\x10\x05\x12\r\n\tRETENTION\x10\x06\x12\n\n\x06\x41NCHOR\x10\x07\x12\r\n\tFORGOTTEN\x10\x04\x42\n\n\x08resource\"i\n\x12WatchEventsRequest\x12\x0e\n\x06parent\x18\x01 \x01(\t\x12\x12\n\x05\x61\x66ter\x18\x02 \x01(\x04H\x00\x88\x01\x01\x12%\n\x05kinds\x18\x03 \x03(\x0e\x32\x16.revisit.v1.Event.KindB\x08\n\x06_after\"7\n\x13WatchEventsResponse\x12 \n\x05\x65vent\x18\x01 \x01(\x0b\x32\x11.revisit.v1.Event2`\n\x0c\x45ventService\x12P\n\x0bWatchEvents\x12\x1e.revisit.v1.WatchEventsRequest\x1a\x1f.revisit.v1.WatchEventsResponse0\x01\x62\x06proto3')
+DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n\x16revisit/v1/event.proto\x12\nrevisit.v1\x1a\x17revisit/v1/anchor.proto\x1a\x1drevisit/v1/loop_closure.proto\x1a\x18revisit/v1/mapping.proto\x1a\x1arevisit/v1/operation.proto\x1a\x1arevisit/v1/retention.proto\"\x85\x04\n\x05\x45vent\x12\x0e\n\x06number\x18\x01 \x01(\x04\x12$\n\x04kind\x18\x02 \x01(\x0e\x32\x16.revisit.v1.Event.Kind\x12\x0b\n\x03map\x18\x03 \x01(\t\x12/\n\x0cloop_closure\x18\x04 \x01(\x0b\x32\x17.revisit.v1.LoopClosureH\x00\x12*\n\toperation\x18\x05 \x01(\x0b\x32\x15.revisit.v1.OperationH\x00\x12-\n\x0bmap_version\x18\x06 \x01(\x0b\x32\x16.revisit.v1.MapVersionH\x00\x12\x30\n\tretention\x18\x07 \x01(\x0b\x32\x1b.revisit.v1.RetentionReportH\x00\x12$\n\x06\x61nchor\x18\x08 \x01(\x0b\x32\x12.revisit.v1.AnchorH\x00\x12\x31\n\rdrive_changes\x18\t \x01(\x0b\x32\x18.revisit.v1.DriveChangesH\x00\"\x95\x01\n\x04Kind\x12\x14\n\x10KIND_UNSPECIFIED\x10\x00\x12\x10\n\x0cLOOP_CLOSURE\x10\x01\x12\r\n\tOPERATION\x10\x02\x12\n\n\x06OPENED\x10\x03\x12\x0f\n\x0bMAP_VERSION\x10\x05\x12\r\n\tRETENTION\x10\x06\x12\n\n\x06\x41NCHOR\x10\x07\x12\x0f\n\x0bMAP_CHANGED\x10\x08\x12\r\n\tFORGOTTEN\x10\x04\x42\n\n\x08resource\"i\n\x12WatchEventsRequest\x12\x0e\n\x06parent\x18\x01 \x01(\t\x12\x12\n\x05\x61\x66ter\x18\x02 \x01(\x04H\x00\x88\x01\x01\x12%\n\x05kinds\x18\x03 \x03(\x0e\x32\x16.revisit.v1.Event.KindB\x08\n\x06_after\"7\n\x13WatchEventsResponse\x12 \n\x05\x65vent\x18\x01 \x01(\x0b\x32\x11.revisit.v1.Event2`\n\x0c\x45ventService\x12P\n\x0bWatchEvents\x12\x1e.revisit.v1.WatchEventsRequest\x1a\x1f.revisit.v1.WatchEventsResponse0\x01\x62\x06proto3')
 
 _globals = globals()
 _builder.BuildMessageAndEnumDescriptors(DESCRIPTOR, _globals)
@@ -37,13 +37,13 @@ _builder.BuildTopDescriptorsAndMessages(DESCRIPTOR, 'revisit.v1.event_pb2', _glo
 if not _descriptor._USE_C_DESCRIPTORS:
   DESCRIPTOR._loaded_options = None
   _globals['_EVENT']._serialized_start=177
-  _globals['_EVENT']._serialized_end=626
-  _globals['_EVENT_KIND']._serialized_start=482
-  _globals['_EVENT_KIND']._serialized_end=614
-  _globals['_WATCHEVENTSREQUEST']._serialized_start=628
-  _globals['_WATCHEVENTSREQUEST']._serialized_end=733
-  _globals['_WATCHEVENTSRESPONSE']._serialized_start=735
-  _globals['_WATCHEVENTSRESPONSE']._serialized_end=790
-  _globals['_EVENTSERVICE']._serialized_start=792
-  _globals['_EVENTSERVICE']._serialized_end=888
+  _globals['_EVENT']._serialized_end=694
+  _globals['_EVENT_KIND']._serialized_start=533
+  _globals['_EVENT_KIND']._serialized_end=682
+  _globals['_WATCHEVENTSREQUEST']._serialized_start=696
+  _globals['_WATCHEVENTSREQUEST']._serialized_end=801
+  _globals['_WATCHEVENTSRESPONSE']._serialized_start=803
+  _globals['_WATCHEVENTSRESPONSE']._serialized_end=858
+  _globals['_EVENTSERVICE']._serialized_start=860
+  _globals['_EVENTSERVICE']._serialized_end=956
 # @@protoc_insertion_point(module_scope)

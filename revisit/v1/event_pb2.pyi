@@ -13,7 +13,7 @@ from typing import ClassVar as _ClassVar, Optional as _Optional, Union as _Union
 DESCRIPTOR: _descriptor.FileDescriptor
 
 class Event(_message.Message):
-    __slots__ = ("number", "kind", "map", "loop_closure", "operation", "map_version", "retention", "anchor")
+    __slots__ = ("number", "kind", "map", "loop_closure", "operation", "map_version", "retention", "anchor", "drive_changes")
     class Kind(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
         __slots__ = ()
         KIND_UNSPECIFIED: _ClassVar[Event.Kind]
@@ -23,6 +23,7 @@ class Event(_message.Message):
         MAP_VERSION: _ClassVar[Event.Kind]
         RETENTION: _ClassVar[Event.Kind]
         ANCHOR: _ClassVar[Event.Kind]
+        MAP_CHANGED: _ClassVar[Event.Kind]
         FORGOTTEN: _ClassVar[Event.Kind]
     KIND_UNSPECIFIED: Event.Kind
     LOOP_CLOSURE: Event.Kind
@@ -31,6 +32,7 @@ class Event(_message.Message):
     MAP_VERSION: Event.Kind
     RETENTION: Event.Kind
     ANCHOR: Event.Kind
+    MAP_CHANGED: Event.Kind
     FORGOTTEN: Event.Kind
     NUMBER_FIELD_NUMBER: _ClassVar[int]
     KIND_FIELD_NUMBER: _ClassVar[int]
@@ -40,6 +42,7 @@ class Event(_message.Message):
     MAP_VERSION_FIELD_NUMBER: _ClassVar[int]
     RETENTION_FIELD_NUMBER: _ClassVar[int]
     ANCHOR_FIELD_NUMBER: _ClassVar[int]
+    DRIVE_CHANGES_FIELD_NUMBER: _ClassVar[int]
     number: int
     kind: Event.Kind
     map: str
@@ -48,7 +51,8 @@ class Event(_message.Message):
     map_version: _mapping_pb2.MapVersion
     retention: _retention_pb2.RetentionReport
     anchor: _anchor_pb2.Anchor
-    def __init__(self, number: _Optional[int] = ..., kind: _Optional[_Union[Event.Kind, str]] = ..., map: _Optional[str] = ..., loop_closure: _Optional[_Union[_loop_closure_pb2.LoopClosure, _Mapping]] = ..., operation: _Optional[_Union[_operation_pb2.Operation, _Mapping]] = ..., map_version: _Optional[_Union[_mapping_pb2.MapVersion, _Mapping]] = ..., retention: _Optional[_Union[_retention_pb2.RetentionReport, _Mapping]] = ..., anchor: _Optional[_Union[_anchor_pb2.Anchor, _Mapping]] = ...) -> None: ...
+    drive_changes: _mapping_pb2.DriveChanges
+    def __init__(self, number: _Optional[int] = ..., kind: _Optional[_Union[Event.Kind, str]] = ..., map: _Optional[str] = ..., loop_closure: _Optional[_Union[_loop_closure_pb2.LoopClosure, _Mapping]] = ..., operation: _Optional[_Union[_operation_pb2.Operation, _Mapping]] = ..., map_version: _Optional[_Union[_mapping_pb2.MapVersion, _Mapping]] = ..., retention: _Optional[_Union[_retention_pb2.RetentionReport, _Mapping]] = ..., anchor: _Optional[_Union[_anchor_pb2.Anchor, _Mapping]] = ..., drive_changes: _Optional[_Union[_mapping_pb2.DriveChanges, _Mapping]] = ...) -> None: ...
 
 class WatchEventsRequest(_message.Message):
     __slots__ = ("parent", "after", "kinds")

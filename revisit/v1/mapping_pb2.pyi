@@ -296,6 +296,22 @@ class MapChange(_message.Message):
     before_ns: int
     def __init__(self, kind: _Optional[_Union[MapChange.Kind, str]] = ..., centre_m: _Optional[_Union[_geometry_pb2.Vector3, _Mapping]] = ..., extent_m: _Optional[_Union[_geometry_pb2.Vector3, _Mapping]] = ..., points: _Optional[int] = ..., moved_from_m: _Optional[_Union[_geometry_pb2.Vector3, _Mapping]] = ..., frame: _Optional[str] = ..., session: _Optional[str] = ..., stamp_ns: _Optional[int] = ..., before_ns: _Optional[int] = ...) -> None: ...
 
+class DriveChanges(_message.Message):
+    __slots__ = ("session", "map_version", "appeared", "vanished", "moved", "back")
+    SESSION_FIELD_NUMBER: _ClassVar[int]
+    MAP_VERSION_FIELD_NUMBER: _ClassVar[int]
+    APPEARED_FIELD_NUMBER: _ClassVar[int]
+    VANISHED_FIELD_NUMBER: _ClassVar[int]
+    MOVED_FIELD_NUMBER: _ClassVar[int]
+    BACK_FIELD_NUMBER: _ClassVar[int]
+    session: str
+    map_version: str
+    appeared: int
+    vanished: int
+    moved: int
+    back: int
+    def __init__(self, session: _Optional[str] = ..., map_version: _Optional[str] = ..., appeared: _Optional[int] = ..., vanished: _Optional[int] = ..., moved: _Optional[int] = ..., back: _Optional[int] = ...) -> None: ...
+
 class ListMapChangesRequest(_message.Message):
     __slots__ = ("parent", "page_size", "page_token", "after_ns", "until_ns")
     PARENT_FIELD_NUMBER: _ClassVar[int]

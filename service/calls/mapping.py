@@ -10,6 +10,7 @@ from revisit.service.domain.identity import TenantId
 from revisit.service.domain.records import MapMergeRecord
 from revisit.service.features.changes.calls import MapChangeView
 from revisit.service.features.corrections.calls import CorrectionView
+from revisit.service.features.events.calls import DriveChangesView
 from revisit.service.features.merging.calls import MergeMap
 from revisit.service.features.optimisation.calls import MapVersionView, SubmapPoseView
 from revisit.service.ports.map_optimiser import GEOREFERENCES
@@ -47,6 +48,12 @@ async def watch_corrections(
     session_id = names.session_id_in(request.parent, request.session, "session")
     async for view in cases.corrections.watch(tenant, map_id, request.after, session_id):
         yield {"correction": correction_fields(view)}
+
+
+def drive_changes_fields(view: DriveChangesView) -> Fields:
+    """The fields of a DriveChanges."""
+    version = f"maps/{view.session.map_id}/versions/{view.found.version}"
+    return fields_of(pb.DriveChanges, view.found, session=view.session.name, map_version=version)
 
 
 def version_fields(view: MapVersionView) -> Fields:

@@ -8,7 +8,7 @@ from pydantic_core import to_json
 
 from revisit.service.calls.anchors import anchor_fields
 from revisit.service.calls.loops import loop_fields
-from revisit.service.calls.mapping import version_fields
+from revisit.service.calls.mapping import drive_changes_fields, version_fields
 from revisit.service.calls.operations import operation_fields
 from revisit.service.calls.retention import report_fields
 from revisit.service.domain.identity import TenantId
@@ -51,6 +51,7 @@ def event_fields(view: EventView) -> Fields:
         map_version=None if view.map_version is None else version_fields(view.map_version),
         retention=None if view.retention is None else report_fields(view.retention),
         anchor=None if view.anchor is None else anchor_fields(view.anchor),
+        drive_changes=None if view.drive_changes is None else drive_changes_fields(view.drive_changes),
     )
 
 

@@ -101,7 +101,8 @@ class SessionDetails:
 class SessionRecord:
     """A session, its details, and where its current window of scans stands (see `ingest.scans`).
 
-    `stream`: the stream that stored the last scan, if one did (see `ingest.appending.ScanStream`).
+    `stream`: the stream that stored the last scan, if one did (see `ingest.appending.ScanStream`). `changes_told`: what
+    was told of the changes that its drive found (see `graph.told_changes.DriveChanges`), None where nothing was yet.
     """
 
     tenant: TenantId
@@ -121,6 +122,7 @@ class SessionRecord:
     storey: str | None = None
     drift: str | None = None
     stream: str | None = None
+    changes_told: str | None = None
     number: int = 0
 
     @property

@@ -149,6 +149,7 @@ sessions = _numbered(
     _integer("finished_at_ns", nullable=True),
     *(_text(detail.name, nullable=True) for detail in fields(SessionDetails)),
     _text("stream", length=32, nullable=True),
+    _text("changes_told", nullable=True),
     ForeignKeyConstraint(["tenant", "map_id"], ["maps.tenant", "maps.map_id"]),
     ForeignKeyConstraint(["tenant", "robot_id"], ["robots.tenant", "robots.robot_id"]),
     Index(None, "tenant", "map_id", "storey"),

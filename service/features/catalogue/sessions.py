@@ -25,6 +25,7 @@ from revisit.service.features.catalogue.odometry_findings import SessionFinding,
 from revisit.service.features.deletion.erasure import Erasure
 from revisit.service.features.deletion.rows import mark_session
 from revisit.service.features.graph.posting import optimise_soon
+from revisit.service.features.graph.told_changes import find_changes_soon
 from revisit.service.features.ingest.window_submaps import add_window_submap, remainder
 from revisit.service.features.loops.waiting import accept_decided
 from revisit.service.features.resources.call_context import CallContext
@@ -132,6 +133,7 @@ class Sessions:
             optimise_soon(uow, tenant, key.map_id, self._context.policy, now_ns)
         if uow.anchors.find(tenant, limit=1, map_id=key.map_id, session_id=key.session_id):
             optimise_soon(uow, tenant, key.map_id, self._context.policy, now_ns, decided=True)
+        find_changes_soon(uow, tenant, key.map_id, self._context.policy, now_ns)
         return self._whole(uow, finished)
 
     async def delete(self, tenant: TenantId, key: SessionKey) -> None:

@@ -5,9 +5,11 @@ from __future__ import annotations
 from functools import partial
 from typing import Any
 
+from revisit.service.capacity.backlog import queued_job
 from revisit.service.domain.errors import NotFound
 from revisit.service.domain.identity import TenantId
-from revisit.service.domain.records import MapTileRecord
+from revisit.service.domain.records import JobRecord, MapTileRecord
+from revisit.service.domain.states import OperationKind
 from revisit.service.failpoints import failpoint
 from revisit.service.features.changes.rows import (
     STORED_ID,
@@ -16,6 +18,7 @@ from revisit.service.features.changes.rows import (
     compared_squares,
     stored_changes,
 )
+from revisit.service.features.graph.told_changes import find_changes_soon, tell_changes, untold_drives
 from revisit.service.features.operations.progress import OperationCancelled, Progress
 from revisit.service.features.operations.unchanged import unchanged
 from revisit.service.features.tiles.rows import Tiling, planned, read_tiling
@@ -90,7 +93,8 @@ class ChangeFinding:
     ) -> bool:
         """Store the row and end the job, in one transaction, if the submaps are the same; queue the next portion."""
         tenant, map_id, version = lease.job.tenant, tiling.map_id, tiling.version
-        uow.maps.get(tenant, map_id, hold=True)
+        record = uow.maps.get(tenant, map_id, hold=True)
+        untold = [] if record is None else untold_drives(uow, record, version)
         uow.queue.require(lease)
         try:
             now, _, known = self._read(uow, tenant, lease.job.payload)
@@ -106,4 +110,15 @@ class ChangeFinding:
             submaps, now_ns = sum(len(one.numbers) for one in tiling.frames), self._context.clock.wall_ns()
             uow.map_tiles.add(MapTileRecord(tenant, map_id, version, STORED_ID, sha256, submaps, now_ns))
         uow.queue.complete(lease, {"compared": found.compared, "squares": found.squares, "changes": len(found.changes)})
+        if found.complete:
+            tell_changes(uow, untold, {one.number: found.of_drive(version, one.number) for one in untold})
+        elif untold:
+            uow.queue.enqueue(self._next_portion(lease))
+        find_changes_soon(uow, tenant, map_id, self._context.policy, self._context.clock.wall_ns())
         return True
+
+    def _next_portion(self, lease: Lease) -> JobRecord:
+        """The job that goes on where nobody asks again."""
+        job, now_ns = lease.job, self._context.clock.wall_ns()
+        kind = OperationKind.FIND_CHANGES
+        return queued_job(job.tenant, kind, job.subject, job.payload, self._context.policy, now_ns, job.priority)

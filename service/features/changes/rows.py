@@ -11,6 +11,7 @@ from revisit.core.errors import DataLoss
 from revisit.core.geometry.tile_grid import Cell
 from revisit.core.merge.evidence import CHANGE_REACH_M, DatedChange
 from revisit.service.domain.identity import TenantId
+from revisit.service.features.graph.told_changes import DriveChanges
 from revisit.service.features.tiles.rows import Tiling
 from revisit.service.ports.map_tiles import TileKey
 from revisit.service.ports.transactions import UnitOfWork
@@ -77,6 +78,10 @@ class FoundChanges:
             return cls(fields["compared"], fields["squares"], changes)
         except (KeyError, TypeError, ValueError, zlib.error) as error:
             raise DataLoss("the stored changes of a map cannot be read") from error
+
+    def of_drive(self, version: int, session: int) -> DriveChanges:
+        """What the drive of a session, by number, found changed."""
+        return DriveChanges.of_kinds(version, [one.kind for one in self.changes if one.session == session])
 
     def with_square(self, found: list[MapChange]) -> FoundChanges:
         """After one more square."""

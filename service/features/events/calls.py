@@ -11,10 +11,11 @@ from revisit.service.capacity.in_flight import Turns
 from revisit.service.capacity.limits import BATCHES_AT_A_TIME
 from revisit.service.domain.errors import NotFound
 from revisit.service.domain.events import EventRecord
-from revisit.service.domain.identity import TenantId
+from revisit.service.domain.identity import SessionKey, TenantId
 from revisit.service.domain.records import JobRecord
 from revisit.service.domain.states import EventKind
 from revisit.service.features.anchors.calls import AnchorView, anchors_seen
+from revisit.service.features.graph.told_changes import DriveChanges
 from revisit.service.features.loops.calls import LoopClosureView
 from revisit.service.features.optimisation.calls import MapVersionView, version_seen
 from revisit.service.features.resources.call_context import CallContext
@@ -28,6 +29,14 @@ HEARTBEAT_S = 15.0
 
 BATCH = 100
 """Events that are read from the store at a time."""
+
+
+@dataclass(frozen=True)
+class DriveChangesView:
+    """The session of a drive, and what it found changed."""
+
+    session: SessionKey
+    found: DriveChanges
 
 
 @dataclass(frozen=True)
@@ -46,6 +55,7 @@ class EventView:
     map_version: MapVersionView | None = None
     retention: RetentionReport | None = None
     anchor: AnchorView | None = None
+    drive_changes: DriveChangesView | None = None
 
 
 @dataclass(frozen=True)
@@ -150,4 +160,10 @@ def _event_of(uow: UnitOfWork, row: EventRecord) -> EventView | None:
         found = uow.maps.get(row.tenant, row.map_id)
         report = None if found is None else RetentionReport.of(found.retention_run)
         return None if report is None else EventView(row.number, kind, row.map_id, retention=report)
+    if kind is EventKind.MAP_CHANGED:
+        session = uow.sessions.get(row.tenant, row.map_id, row.subject)
+        if session is None or session.changes_told is None:
+            return None
+        view = DriveChangesView(session.key, DriveChanges.of(session.changes_told))
+        return EventView(row.number, kind, row.map_id, drive_changes=view)
     return EventView(row.number, kind, row.map_id)

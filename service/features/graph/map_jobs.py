@@ -10,7 +10,8 @@ from revisit.service.domain.records import JobRecord
 from revisit.service.domain.states import LoopState, OperationKind
 from revisit.service.ports.transactions import UnitOfWork
 
-_LAST = 2
+LAST = 2
+"""The priority of jobs that all other work of the tenant goes before."""
 
 
 def post_map_job(
@@ -42,4 +43,4 @@ def recall_loops(uow: UnitOfWork, tenant: TenantId, map_id: str, policy: Policy,
     if not policy.optimise_after_loops or waiting_map_job(uow, tenant, map_id, OperationKind.RECALL_LOOPS) is not None:
         return
     if uow.loops.find(tenant, limit=1, map_id=map_id, state=LoopState.REJECTED.value, manual=False):
-        post_map_job(uow, tenant, map_id, OperationKind.RECALL_LOOPS, policy, now_ns, priority=_LAST)
+        post_map_job(uow, tenant, map_id, OperationKind.RECALL_LOOPS, policy, now_ns, priority=LAST)

@@ -128,6 +128,7 @@ class MergeCommit:
             session_id=name,
             state=SessionState.FINISHED.value,
             finished_at_ns=finished,
+            changes_told=None,
             number=0,
         )
 

@@ -31,6 +31,7 @@ from revisit.service.features.graph.session_poses import (
     hash_of_session,
     pack_loops,
 )
+from revisit.service.features.graph.told_changes import find_changes_soon
 from revisit.service.features.loops.rows import Change, change_loops
 from revisit.service.ports.job_queue import Lease
 from revisit.service.ports.map_optimiser import (
@@ -84,6 +85,7 @@ class VersionCommit:
         version = add_version(uow, current, self.task, self.optimised, summary, operation_id, self.now_ns)
         forget_versions(uow, current.tenant, current.map_id, version - self.policy.map_versions_kept)
         recall_loops(uow, current.tenant, current.map_id, self.policy, self.now_ns)
+        find_changes_soon(uow, current.tenant, current.map_id, self.policy, self.now_ns)
         details = {name: its for name, its in summary.items() if name not in (AUDITED, FAULTS, GEOREFERENCES)}
         self._end(uow, {"version": f"maps/{current.map_id}/versions/{version}", **details})
 

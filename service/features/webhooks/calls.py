@@ -24,6 +24,7 @@ SECRET_PREFIX = "whsec_"
 
 TOLD_OF = (
     EventKind.LOOP_CLOSURE, EventKind.OPERATION, EventKind.MAP_VERSION, EventKind.RETENTION, EventKind.ANCHOR,
+    EventKind.MAP_CHANGED,
 )  # fmt: skip
 """The kinds that a webhook may be kept to; FORGOTTEN comes in any case."""
 

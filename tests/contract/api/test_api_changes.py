@@ -12,24 +12,72 @@ from typer.testing import CliRunner
 from revisit.cli.app import app
 from revisit.sdk.errors import InvalidArgument, NotFound
 from revisit.service.capacity.limits import POINTS_PER_S
+from revisit.service.features.changes import job
 from revisit.service.features.changes.rows import FoundChanges
 from revisit.service.features.tiles import rows as tile_rows
+from tests.support.patience import eventually
 from tests.support.service_world import cloud_points, pose
 
 DAY_NS = 86_400 * 10**9
 MONDAY, TUESDAY = 20_000 * DAY_NS, 20_001 * DAY_NS
 _numbers = itertools.count(1)
+WATCH = ["watch", "--after", "0", "--kind", "map_changed", "--count", "1"]
 
 
 @pytest.fixture
 def driven_twice(client):
     """A map that was driven on two days along the same way, 60 m long; the name of its version."""
     made = client.create_map(f"years-{next(_numbers)}", leave_distance_m=0)
-    for session_id, day_ns in (("monday", MONDAY), ("tuesday", TUESDAY)):
-        session = client.create_session(made, session_id)
-        for place in (5, 25, 45, 65):
-            client.wait(client.post_submap(session, f"at-{place}", cloud_points(place), pose(place), day_ns + place))
+    drive_twice(client, made)
     return client.wait(client.optimise_map(made)).result["version"]
+
+
+def drive_twice(client, made, places=(5, 25, 45, 65)):
+    """The names of the sessions of two days."""
+    sessions = []
+    for session_id, day_ns in (("monday", MONDAY), ("tuesday", TUESDAY)):
+        sessions.append(client.create_session(made, session_id))
+        for place in places:
+            submap = (f"at-{place}", cloud_points(place), pose(place), day_ns + place)
+            client.wait(client.post_submap(sessions[-1], *submap))
+    return [one.name for one in sessions]
+
+
+def comparisons(client, made):
+    return [
+        one for one in client.list_operations() if one.kind == "FIND_CHANGES" and one.subject.startswith(f"{made}/")
+    ]
+
+
+def test_a_drive_that_found_changes_is_told_once_where_a_webhook_asks_for_it(client, service, monkeypatch):
+    monkeypatch.setattr(job, "PORTION_MS", -1)  # a square a job
+    made = client.create_map(f"years-{next(_numbers)}", leave_distance_m=0).name
+    client.create_webhook(made[5:], "https://hooks.example.com/revisit", map_=made, kinds=["MAP_CHANGED"])
+    _, tuesday = sessions = drive_twice(client, made)
+    client.wait(client.optimise_map(made))
+    assert comparisons(client, made) == []  # nobody has ended
+    for session in sessions:
+        client.finish_session(session)
+    (event,) = itertools.islice(client.watch(made, after=0, kinds=["MAP_CHANGED"]), 1)
+    told, found = event.drive_changes, client.map_changes(event.drive_changes.map_version)
+    assert (told.session, told.map_version) == (tuesday, f"{made}/versions/1")
+    assert (told.appeared, told.vanished, told.moved, told.back) == (0, len(found), 0, 0) and len(found) > 1
+    eventually(lambda: all(one.done for one in comparisons(client, made)))
+    before = [one.name for one in comparisons(client, made)]
+    assert len(before) >= len(found)
+    client.wait(client.optimise_map(made))
+    assert [one.name for one in comparisons(client, made)] == before
+    shown = CliRunner().invoke(app, [*WATCH, "--map", made[5:], "--http", service.http])
+    assert shown.stdout.strip().endswith(f"tuesday found {len(found)} vanished"), shown.output
+
+
+def test_drives_are_not_compared_where_no_webhook_asks_for_changes(client):
+    made = client.create_map(f"years-{next(_numbers)}", leave_distance_m=0).name
+    client.create_webhook(made[5:], "https://hooks.example.com/revisit", map_=made, kinds=["MAP_VERSION"])
+    for session in drive_twice(client, made, (5, 25)):
+        client.finish_session(session)
+    client.wait(client.optimise_map(made))
+    assert comparisons(client, made) == []
 
 
 def test_what_a_drive_found_changed_is_told_with_that_drive_and_the_time_in_between(client, driven_twice):
