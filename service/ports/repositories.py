@@ -234,6 +234,17 @@ class SubmapRepository(Repository[SubmapRecord], FoundSubmaps, Protocol):
         ...
 
 
+@dataclass(frozen=True)
+class LoopEnds:
+    """Number of a loop, and numbers and sessions of its two submaps."""
+
+    number: int
+    query_number: int
+    query_session_id: str
+    match_number: int
+    match_session_id: str
+
+
 class LoopRepository(Repository[LoopRecord], Protocol):
     """Loop closures, also those of several submaps, and in the order in which they were accepted."""
 
@@ -247,6 +258,14 @@ class LoopRepository(Repository[LoopRecord], Protocol):
 
     def telling(self, tenant: TenantId, query_numbers: Sequence[int], reasons: Sequence[str]) -> list[LoopRecord]:
         """Those of these queries (at most 1000) that were accepted, or have one of `reasons`: by query and number."""
+        ...
+
+    def rejected(
+        self, tenant: TenantId, map_id: str, reasons: Sequence[str], *, after: int, limit: int
+    ) -> list[LoopEnds]:
+        """The ends of the next `limit` loops of a map numbered above `after` that were rejected for one of `reasons`,
+        by no person: in the order of their numbers.
+        """
         ...
 
     def reasons(self, tenant: TenantId, numbers: Sequence[int]) -> dict[str | None, int]:

@@ -89,6 +89,7 @@ CALLS = {
     "SqlSubmaps.path": lambda uow: [uow.submaps.path(TENANT, "town", "monday", 0, 5, back=back) for back in (0, 1)],
     "SqlLoops.accepted": lambda uow: uow.loops.accepted(TENANT, "town", after=1, limit=5, graph_state=None),
     "SqlLoops.telling": lambda uow: uow.loops.telling(TENANT, [1, 2], ["AMBIGUOUS"]),
+    "SqlLoops.rejected": lambda uow: uow.loops.rejected(TENANT, "town", ["LOW_OVERLAP"], after=1, limit=5),
     "SqlLoops.reasons": lambda uow: uow.loops.reasons(TENANT, [1, 2]),
     "SqlSubmaps.standings": lambda uow: [uow.submaps.standings(TENANT, "town", one) for one in (None, "monday")],
     "SqlSubmaps.first_waiting": lambda uow: uow.submaps.first_waiting(TENANT, "town"),

@@ -10,7 +10,7 @@ import pytest
 
 from revisit.service.domain.errors import AlreadyExists, NotFound
 from revisit.service.domain.identity import TenantId
-from revisit.service.ports.repositories import FoundSubmap
+from revisit.service.ports.repositories import FoundSubmap, LoopEnds
 from revisit.service.ports.storage import require_map
 from tests.support.records import TENANT, a_loop, a_map, a_robot, a_scan, a_session, a_submap
 
@@ -168,6 +168,24 @@ def test_the_loops_of_some_queries_that_tell_anything_are_read_at_once(write, re
         second.number
     ]
     assert read(lambda uow: uow.loops.telling(TENANT, [], ["AMBIGUOUS"])) == []
+
+
+def test_the_ends_of_loops_that_were_rejected_for_some_reasons_are_told_by_number(write, read):
+    *_, first, second, _ = write(fill)
+    low = replace(a_loop(first.number, second.number), state="REJECTED", reason="LOW_OVERLAP")
+    alike = replace(low, loop_id="alike", reason="AMBIGUOUS")
+    by_hand = replace(low, loop_id="by hand", manual=True)
+    write(lambda uow: uow.loops.add_all([*(replace(low, loop_id=name) for name in "xyz"), alike, by_hand]))
+    numbers = {loop.loop_id: loop.number for loop in read(lambda uow: uow.loops.find(TENANT))}
+
+    def told(tenant=TENANT, after=0, reasons=("LOW_OVERLAP", "LOW_SCORE")):
+        return read(lambda uow: uow.loops.rejected(tenant, "town", reasons, after=after, limit=2))
+
+    ends = first.number, first.session_id, second.number, second.session_id
+    assert told() == [LoopEnds(numbers[name], *ends) for name in "xy"]
+    assert [one.number for one in told(after=numbers["y"])] == [numbers["z"]]
+    assert [one.number for one in told(reasons=["AMBIGUOUS"])] == [numbers["alike"]]
+    assert told(OTHER) == [] and told(reasons=[]) == []
 
 
 def test_loops_are_in_the_order_in_which_they_were_accepted(write, read):

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import replace
 
 import pytest
 
 from revisit.core.verification import Authority, InitialPose, VerifiedLoop
+from revisit.service.engines.sql.loops import SqlLoops
 from revisit.service.failpoints import arm
 from revisit.service.features.loops.rows import LoopStanding
 from revisit.service.features.recognition import loop_recall_job
+from revisit.service.features.recognition.loop_recall_job import loops_to_recall
 from tests.support.fake_recogniser import FakeRecogniser
 from tests.support.fleet_in_service import fleet_in
 from tests.support.service_world import TENANT, memory_world, sqlite_world
@@ -148,6 +151,26 @@ async def test_wrong_pairs_ambiguous_ones_and_what_people_decided_are_left_alone
     assert wrong and [town.loop(one).state for one in (ambiguous, by_hand, decided)] == ["REJECTED"] * 3
     # Of the wrong pairs those may be asked that happen to lie near each other; the pose is then the right one.
     assert len(geometry.asked) < len(wrong)
+
+
+async def test_whole_rows_are_read_of_those_rejected_loops_alone_that_the_map_puts_near(tmp_path, monkeypatch):
+    town, read = Town(sqlite_world(tmp_path, optimise_after_loops=0)), Counter()
+    wrong = [loop for loop in town.loops() if not loop.loop_id.startswith("right")]
+    lost = town.right[:2]
+    town.rejected(*wrong, *lost)
+    await town.optimised(Geometry())
+    whole = SqlLoops._of
+
+    def counted(self, row):
+        read["rows"] += 1
+        return whole(self, row)
+
+    monkeypatch.setattr(SqlLoops, "_of", counted)
+    context = town.world.context
+    found = loops_to_recall(context.transactions, context.policy, TENANT, MAP, lambda *_: None)
+    context.transactions.close()
+    assert {loop.loop_id for loop in lost} <= {one.record.loop_id for one in found}
+    assert read["rows"] == len(found) < len(wrong)
 
 
 async def test_a_pose_far_from_what_the_map_says_is_not_accepted(town):

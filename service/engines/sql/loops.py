@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 from functools import cache
 from typing import Any
 
-from sqlalchemy import BindParameter, Select, and_, bindparam, func, or_, select, text
+from sqlalchemy import BigInteger, BindParameter, Select, and_, bindparam, func, or_, select, text
 
 from revisit.service.domain.identity import TenantId
 from revisit.service.domain.records import LoopRecord
 from revisit.service.domain.states import LoopState
 from revisit.service.engines.sql import tables
-from revisit.service.engines.sql.repositories import Scalar, SqlRepository, of_tenant, seen
+from revisit.service.engines.sql.repositories import Scalar, SqlRepository, matches, of_tenant, seen
+from revisit.service.ports.repositories import LoopEnds
 
 
 class SqlLoops(SqlRepository[LoopRecord]):
@@ -32,10 +34,30 @@ class SqlLoops(SqlRepository[LoopRecord]):
         asked = {"queries": query_numbers, "its_tenant": tenant, "its_reasons": reasons}
         return [self._of(row) for row in self._connection.execute(_telling(self._sees_all), asked)]
 
+    def rejected(
+        self, tenant: TenantId, map_id: str, reasons: Sequence[str], *, after: int, limit: int
+    ) -> list[LoopEnds]:
+        """See `LoopRepository`."""
+        asked = of_tenant(tenant, {"map_id": map_id, "state": LoopState.REJECTED.value, "manual": False})
+        further = {"its_reasons": reasons, "after_number": after, "at_most": limit}
+        rows = self._connection.execute(_rejected(self._sees_all, tuple(asked)), {**asked, **further})
+        return [LoopEnds(*row) for row in rows]
+
     def reasons(self, tenant: TenantId, numbers: Sequence[int]) -> dict[str | None, int]:
         """See `LoopRepository`."""
         rows = self._connection.execute(_reasons(), {"numbers": numbers, "its_tenant": tenant})
         return {row.reason: row.loops for row in rows}
+
+
+@cache
+def _rejected(sees_all: bool, given: tuple[str, ...]) -> Select[Any]:
+    """The columns of LoopEnds of the next `at_most` loops above `after_number` with one of `its_reasons`."""
+    loops, reasons = tables.loops.c, BindParameter[Any]("its_reasons", expanding=True)
+    columns = (loops[field.name] for field in dataclasses.fields(LoopEnds))
+    its = and_(matches(tables.loops, dict.fromkeys(given, "")), loops.reason.in_(reasons))
+    after = loops.number > bindparam("after_number", type_=BigInteger)
+    query = select(*columns).where(its, after, seen(tables.loops, sees_all))
+    return query.order_by(loops.number).limit(bindparam("at_most"))
 
 
 @cache

@@ -13,7 +13,7 @@ from revisit.core.geometry.se3 import Matrix4, pose_matrix, pose_row
 from revisit.service.domain.identity import TenantId
 from revisit.service.domain.records import LoopRecord, MapRecord, Pose, SessionPosesRecord, SubmapRecord
 from revisit.service.features.graph.session_poses import PackedSubmaps
-from revisit.service.ports.repositories import FoundSubmap
+from revisit.service.ports.repositories import FoundSubmap, LoopEnds
 from revisit.service.ports.transactions import UnitOfWork
 
 
@@ -122,7 +122,7 @@ class MapFrames:
         T_map_submap = session.T_map_odom @ pose_matrix(record.T_odom_submap)
         return MapPose(pose_row(T_map_submap), session.frame, self._version)
 
-    def loops(self, records: Iterable[LoopRecord]) -> dict[int, LoopInMap]:
+    def loops(self, records: Iterable[LoopRecord | LoopEnds]) -> dict[int, LoopInMap]:
         """The ends of the loops, by number, with both submaps in one frame."""
         if not self._version:
             return {}

@@ -7,6 +7,7 @@ submaps lie to each other. Pairs that it puts near each other are registered aga
 from __future__ import annotations
 
 import heapq
+import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
@@ -51,7 +52,9 @@ SAME_M = 0.5
 SAME_RAD = np.radians(2.0)
 """A pair is tested again once its relative pose has moved by so much."""
 
-_PAGE = 500
+_PAGE = 2000
+
+_ROUNDING_M = 1e-6
 
 
 @dataclass(frozen=True)
@@ -139,25 +142,32 @@ def _found(
 def _page(
     uow: UnitOfWork, policy: Policy, tenant: TenantId, map_id: str, after: int
 ) -> tuple[list[_Found], int | None]:
-    """Those of a page of rejected loops that are to be tested again; where the next begins, None after the last."""
+    """Those of a page of rejected loops that are to be tested again; where the next begins, None after the last.
+
+    Whole rows are read of loops alone that the map puts near each other: few, of many that are rejected.
+    """
     record = uow.maps.get(tenant, map_id)
     if record is None or not record.map_version:
         return [], None
-    rejected = uow.loops.find(tenant, after=after, limit=_PAGE, map_id=map_id, state=LoopState.REJECTED.value)
-    wanted = [loop for loop in rejected if loop.reason in RECALLED_REASONS and not loop.manual]
-    frames = MapFrames(uow, tenant, map_id)
-    placed = frames.loops(wanted)
-    within_m = policy.for_map(record).submap.tau
+    rejected = uow.loops.rejected(tenant, map_id, sorted(RECALLED_REASONS), after=after, limit=_PAGE)
+    frames, within_m = MapFrames(uow, tenant, map_id), policy.for_map(record).submap.tau
+    placed = {
+        number: T_match_query
+        for number, loop in frames.loops(rejected).items()
+        if _apart_m(loop) <= within_m + _ROUNDING_M
+        and np.linalg.norm((T_match_query := _between(loop))[:3, 3]) <= within_m
+    }
     found = [
-        _Found(record, loop, T_match_query)
-        for loop in wanted
-        if loop.number in placed
-        and (T_match_query := _between(placed[loop.number])) is not None
-        and np.linalg.norm(T_match_query[:3, 3]) <= within_m
-        and _is_known(frames, loop, record)
-        and not _was_tested(loop, T_match_query)
+        _Found(record, loop, placed[number])
+        for number, loop in uow.loops.numbered(tenant, sorted(placed)).items()
+        if _is_known(frames, loop, record) and not _was_tested(loop, placed[number])
     ]
     return found, rejected[-1].number if len(rejected) == _PAGE else None
+
+
+def _apart_m(placed: LoopInMap) -> float:
+    """How far apart the map has the two submaps, metres, but for rounding."""
+    return math.dist(placed.query.T_map[3:12:4], placed.match.T_map[3:12:4])
 
 
 def _between(placed: LoopInMap) -> Matrix4:

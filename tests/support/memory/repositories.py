@@ -6,6 +6,7 @@ import dataclasses
 from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import islice
 from typing import Any, Generic, TypeVar
 
 from revisit.service.domain.errors import AlreadyExists, NotFound
@@ -27,7 +28,7 @@ from revisit.service.domain.webhooks import News, WebhookRecord
 from revisit.service.ports.clock import Clock
 from revisit.service.ports.index import IndexChange
 from revisit.service.ports.processes import GONE_AFTER_MS
-from revisit.service.ports.repositories import FoundSubmap, PathPoint, PlacedSubmap, SubmapStanding, Waiting
+from revisit.service.ports.repositories import FoundSubmap, LoopEnds, PathPoint, PlacedSubmap, SubmapStanding, Waiting
 
 R = TypeVar("R")
 
@@ -298,6 +299,15 @@ class MemoryLoops(MemoryRepository[LoopRecord]):
         """See `LoopRepository`."""
         found = [loop for number in sorted(set(query_numbers)) for loop in self.find(tenant, query_number=number)]
         return [loop for loop in found if loop.state == LoopState.ACCEPTED or loop.reason in reasons]
+
+    def rejected(
+        self, tenant: TenantId, map_id: str, reasons: Sequence[str], *, after: int, limit: int
+    ) -> list[LoopEnds]:
+        """See `LoopRepository`."""
+        rows = self.find(tenant, after=after, map_id=map_id, state=LoopState.REJECTED.value, manual=False)
+        names = [field.name for field in dataclasses.fields(LoopEnds)]
+        found = (LoopEnds(*(getattr(row, name) for name in names)) for row in rows if row.reason in reasons)
+        return list(islice(found, limit))
 
     def reasons(self, tenant: TenantId, numbers: Sequence[int]) -> dict[str | None, int]:
         """See `LoopRepository`."""
