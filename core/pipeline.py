@@ -90,6 +90,7 @@ def fit(submap: Submap, models: ModelBundle, config: PipelineConfig, seed: int =
     level = level if bend is None else bend.straightened(level)
     neural_map = fit_implicit_map(level, models.decoder, config.implicit_map, rng)  # III-B, Eq. 1-6
     flags = ("degenerate_plane",) * is_plane(submap.points)
+    flags += ("ground_tilted",) * level.leans
     flags += place_flags(level.points, config.scene_scale, plane_scores)
     flags += ("crowded",) * neural_map.crowded + ("odometry_bends",) * (bend is not None)
     return FittedSubmap(dataclasses.replace(neural_map, frame=frame), flags, scan_disagreement(level), rng)

@@ -14,6 +14,8 @@ from revisit.core.config import SubmapConfig
 from revisit.core.errors import BadField, EmptyCloud
 from revisit.core.geometry import se3
 from revisit.core.geometry.level_frame import LevelFrame
+from revisit.core.geometry.upright import LEAST_LEAN_RAD
+from revisit.core.sanity.ground import ground_lean
 from revisit.core.scan import MIN_POINTS, Intensity, Points, Scan
 from revisit.core.scan_marks import ChosenScan, ScanMarks, Way, marked_rows
 
@@ -57,14 +59,17 @@ class Submap:
         """How many scans the submap holds."""
         return len(self.origins)
 
+    @property
+    def leans(self) -> bool:
+        """Whether its z axis, once it is in a level frame, is another one than that of the odometry frame."""
+        return bool(self.T_odom_submap[2, 2] < np.cos(0.5 * LEAST_LEAN_RAD))
+
     def levelled(self, *, in_place: bool = False) -> Submap:
         """The same submap in a frame whose z axis is that of the odometry frame, turned as little as possible.
 
         Place recognition looks at places from above; a tilted sensor must not tilt them. `in_place` saves the room for
         the points: nobody may use the submap as it was any more.
         """
-        from revisit.core.kernels.rigid_motion import moved_points  # compiled: the gateway needs none of it
-
         up = self.T_odom_submap[2, :3]
         axis = np.cross(up, [0.0, 0.0, 1.0])
         sine, cosine = float(np.linalg.norm(axis)), float(up[2])
@@ -73,6 +78,12 @@ class Submap:
         # a sensor that hangs upside down may be turned about any horizontal axis
         direction = axis / sine if sine >= 1e-6 else np.array([1.0, 0.0, 0.0])
         T_upright_submap = se3.exp(np.concatenate([np.zeros(3), direction * np.arctan2(sine, cosine)]))
+        return self._turned(T_upright_submap, in_place=in_place)
+
+    def _turned(self, T_upright_submap: se3.Matrix4, *, in_place: bool = False) -> Submap:
+        """The same submap in a frame that is turned, so that T_upright_submap (4, 4) leads there."""
+        from revisit.core.kernels.rigid_motion import moved_points  # compiled: the gateway needs none of it
+
         T_odom_upright = self.T_odom_submap @ se3.inverse(T_upright_submap)
         return replace(
             self,
@@ -85,8 +96,15 @@ class Submap:
     def in_level_frame(self, scene_scale: float) -> tuple[Submap, LevelFrame]:
         """The submap turned upright and with every length divided by `scene_scale`, and the frame it is in then, of
         that of the middle scan.
+
+        Its z axis is that of the odometry frame, or the vertical of its own surfaces where these contradict that
+        (decision 0360): `leans` tells.
         """
+        from revisit.core.kernels.plane_votes import plane_scores  # compiled: the gateway needs none of it
+
         upright = self.levelled()
+        up = ground_lean(upright.points, plane_scores)
+        upright = upright if up is None else upright._turned(up.T_level_cloud())
         frame = LevelFrame.from_upright(upright.T_scan_submap, scene_scale)
         if scene_scale == 1.0:
             return upright, frame

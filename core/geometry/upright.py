@@ -27,6 +27,10 @@ DIRECTIONS = 3_000
 TOLERANCE_RAD = 0.05
 MIN_SCORE = 0.25
 """The share of surfaces that must be level or upright: of real scans 0.36 to 0.9 are."""
+LEAST_LEAN_RAD = float(np.radians(10.0))
+"""The least tilt by which surfaces contradict a z that is said to point up: steeper roads are rare."""
+BORNE_OUT = 0.5
+"""The share of the vertical's own support with which surfaces bear out another direction."""
 RIVAL_RAD = np.radians(12.0)
 RIVAL_SHARE = 0.95
 _AT_ONCE = 32
@@ -65,10 +69,31 @@ def estimate_up(points: NDArray[np.floating], seed: int = 0) -> UpAxis | None:
 
     None where there are too few surfaces, or where another direction, 12 degrees off or more, does nearly as well.
     """
+    return _vertical(_drawn_normals(points, seed))
+
+
+def contradicting_up(points: NDArray[np.floating], seed: int = 0) -> UpAxis | None:
+    """The vertical of a cloud (n, 3) whose z should point up, where its surfaces contradict that (decision 0360).
+
+    None where they do not tell (`estimate_up`), tell less than 10 degrees, or bear z out, too.
+    """
+    normals = _drawn_normals(points, seed)
+    borne_out = float(_scores(np.eye(3)[2:], normals)[0]) if len(normals) else 1.0
+    if borne_out >= BORNE_OUT:  # of any support
+        return None
+    up = _vertical(normals)
+    return None if up is None or up.tilt_rad < LEAST_LEAN_RAD or borne_out >= BORNE_OUT * up.support else up
+
+
+def _drawn_normals(points: NDArray[np.floating], seed: int) -> Array:
     normals = surface_normals(_near(points))
+    return np.random.default_rng(seed).permutation(normals)[:MAX_NORMALS]
+
+
+def _vertical(normals: Array) -> UpAxis | None:
+    """The direction to which most normals (n, 3) are parallel or square; None where they are few, or do not tell."""
     if len(normals) < MIN_NORMALS:
         return None
-    normals = np.random.default_rng(seed).permutation(normals)[:MAX_NORMALS]
     directions = _cap(DIRECTIONS)
     scores = _scores(directions, normals)
     best = int(scores.argmax())

@@ -19,8 +19,8 @@ LIKELY_CAUSES = {
     "scene_too_large": ("the points are in centimetres or millimetres", "give metres"),
     "scene_too_small": ("the points are scaled, or in kilometres", "give metres"),
     "ground_tilted": (
-        "z of the odometry does not point up (NED, camera axes), or the poses are not those of the LiDAR",
-        "give T_odom_sensor in a frame whose z axis points up",
+        "z of the odometry does not point up (askew, NED, camera axes), or the poses are not those of the LiDAR",
+        "give T_odom_sensor with z up; submaps that lean by 10 to 40 degrees are levelled, but a map of them leans",
     ),
     "quaternion_order": ("the quaternions are in the order w, x, y, z", "give them as x, y, z, w"),
     "registered": (

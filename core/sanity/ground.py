@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from revisit.core.geometry import se3
-from revisit.core.geometry.upright import UpAxis, estimate_up
+from revisit.core.geometry.upright import UpAxis, contradicting_up
 from revisit.core.geometry.voxel_keys import first_rows, voxel_keys
 from revisit.core.sanity.finding import Finding
 from revisit.core.sanity.numbers import MIN_SCENE_M
@@ -23,8 +23,8 @@ MAX_TILT_COSINE = 0.94
 _AT_ONCE = 16
 """Planes whose distances to all points fit into a processor's cache."""
 
-LEAST_LEAN_RAD, SAME_LEAN_RAD = float(np.radians(10.0)), float(np.radians(3.0))
-"""The least tilt of all surfaces that is told: steeper roads are rare. And by how much two scans may differ in it."""
+SAME_LEAN_RAD, ROUGH_PLANE_RAD = float(np.radians(3.0)), float(np.radians(5.0))
+"""By how much two scans may differ in their lean; and how far off the plane around a sensor is, which is a guess."""
 
 
 @dataclass(frozen=True)
@@ -38,6 +38,11 @@ class GroundPlane:
     normal: Array
     height_m: float
     upright: bool
+
+    @property
+    def tilt_rad(self) -> float:
+        """How far the plane is from level."""
+        return float(np.arccos(np.clip(self.normal[2], -1.0, 1.0)))
 
 
 def scores_of_planes(normals: Array, offsets: Array, points: Array, near: float, below: float) -> Array:
@@ -94,6 +99,18 @@ def place_flags(
     return ("ground_tilted",) * tilted + ("scene_too_small",) * (size_m < MIN_SCENE_M)
 
 
+def ground_lean(points: NDArray[np.floating], scores_of: PlaneScores = scores_of_planes) -> UpAxis | None:
+    """The vertical of a level submap by its points (n, 3), where its surfaces contradict z; None where z may point up.
+
+    A plane around the sensor must agree: roofs and panels in rows are many, but no ground.
+    """
+    sample = np.ascontiguousarray(sample_of(points))
+    up = contradicting_up(sample)
+    plane = None if up is None else ground_plane(sample, scores_of=scores_of)
+    is_ground = plane is None or up is None or float(up.up @ plane.normal) > np.cos(ROUGH_PLANE_RAD)
+    return up if is_ground else None
+
+
 def thinned_cloud(points: NDArray[np.floating]) -> tuple[Array, float]:
     """At most 3,000 of the nearer points, one a voxel, and the scene's scale compared with a street's."""
     points = sample_of(points)
@@ -127,7 +144,7 @@ def check_gravity(scans: Sequence[Scan], scores_of: PlaneScores = scores_of_plan
     if len(known) < max(2, len(scans) // 3) or len(tilted) < 0.7 * len(known):
         return _leaning(scans)
     heights = np.median([plane.height_m for plane in tilted])
-    tilts = [np.degrees(np.arccos(np.clip(plane.normal[2], -1.0, 1.0))) for plane in tilted]
+    tilts = [np.degrees(plane.tilt_rad) for plane in tilted]
     measured = f"the ground, {heights:.2g} m away, is tilted by {np.median(tilts):.0f} degrees"
     reread = [_plane_seen(scan, read_as_wxyz(scan.T_odom_sensor), scores_of) for scan, _ in known]
     if np.mean([plane is not None and plane.upright for plane in reread]) > 0.7:
@@ -140,15 +157,17 @@ def _leaning(scans: Sequence[Scan]) -> list[Finding]:
     """Whether the surfaces of the first and the last scan have one vertical, and that is not z of the odometry."""
     first: UpAxis | None = None
     for scan in (scans[0], scans[-1]) if len(scans) > 1 else ():
-        up = estimate_up(sample_of(scan.points) @ scan.T_odom_sensor[:3, :3].T)
-        if up is None or up.tilt_rad < LEAST_LEAN_RAD or (first and first.up @ up.up < np.cos(SAME_LEAN_RAD)):
+        up = contradicting_up(sample_of(scan.points) @ scan.T_odom_sensor[:3, :3].T)
+        if up is None or (first and first.up @ up.up < np.cos(SAME_LEAN_RAD)):
             return []
         first = up
     if first is None:
         return []
     measured = f"ground and walls are tilted by {np.degrees(first.tilt_rad):.0f} degrees"
     cause = "z of the odometry's frame does not point up: a sensor mounted askew, or an odometry that began on a slope"
-    advice = "give T_odom_sensor with z up: beyond 15 degrees beside other sessions no pair is a loop"
+    advice = (
+        "give T_odom_sensor with z up: submaps are levelled by ground and walls, but a map leans as its oldest session"
+    )
     return [Finding("ground_tilted", measured, cause, advice)]
 
 

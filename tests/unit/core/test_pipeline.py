@@ -43,19 +43,23 @@ def town(shapes, seed: int):
 
 @pytest.fixture
 def seen_from(make_drive, shapes):
-    """Describes town `seed` after the submap was turned by T_turned_submap: (place, turned submap)."""
+    """Describes town `seed` after the submap was turned by T_turned_submap, in an odometry frame that is turned by
+    T_odom_level: (place, turned submap).
+    """
 
     @cache
     def submap_of(seed: int) -> Submap:
         return make_drive(lambda _: town(shapes, seed), scans=5)
 
-    def describe_turned(seed: int, T_turned_submap=None, **options) -> tuple[DescribedSurface, Submap]:
+    def describe_turned(
+        seed: int, T_turned_submap=None, T_odom_level=np.eye(4), **options
+    ) -> tuple[DescribedSurface, Submap]:
         submap, turn = submap_of(seed), np.eye(4) if T_turned_submap is None else T_turned_submap
         turned = dataclasses.replace(
             submap,
             points=se3.apply(turn, submap.points).astype(np.float32),
             origins=se3.apply(turn, submap.origins).astype(np.float32),
-            T_odom_submap=submap.T_odom_submap @ se3.inverse(turn),
+            T_odom_submap=T_odom_level @ submap.T_odom_submap @ se3.inverse(turn),
         )
         return describe_ablated(turned, load_packaged_models(), CONFIG, **options), turned
 
@@ -73,6 +77,22 @@ def test_a_turned_and_tilted_place_is_recognised_and_aligned(seen_from):
     error = se3.inverse(verdict.measurement.T_match_query) @ T_true
     assert np.linalg.norm(error[:3, 3]) < 0.1
     assert np.degrees(se3.rotation_angle(error)) < 0.5
+
+
+def test_two_sessions_whose_z_leans_are_levelled_by_their_own_ground(seen_from):
+    """17 and 11 degrees, to different sides: without that no pair is a loop."""
+    T_odoms = [np.eye(4), se3.exp([0, 0, 0, 0.28, 0.1, 0]), se3.exp([0, 0, 0, -0.1, -0.16, 0])]
+    turns = [np.eye(4), se3.from_yaw(2.4) @ se3.exp([0, 0, 0, 0.03, -0.05, 0]), se3.from_yaw(-1.1)]
+    seen = [seen_from(1, turn, T_odom_level=T_odom) for turn, T_odom in zip(turns, T_odoms, strict=True)]
+    assert ["ground_tilted" in place.flags for place, _ in seen] == [False, True, True]
+    for one, other in ((0, 1), (1, 2), (2, 0)):
+        similarity = seen[one][0].descriptor.similarity(seen[other][0].descriptor)
+        verdict = verify(seen[one][0].place, seen[other][0].place, similarity, CONFIG.verification)
+        assert isinstance(verdict, VerifiedLoop)
+        T_true = turns[other] @ se3.inverse(turns[one])
+        error = se3.inverse(verdict.measurement.T_match_query) @ T_true
+        assert np.linalg.norm(error[:3, 3]) < 0.1
+        assert np.degrees(se3.rotation_angle(error)) < 0.5
 
 
 def test_another_street_is_less_similar_and_rejected(seen_from):
