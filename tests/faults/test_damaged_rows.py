@@ -17,7 +17,7 @@ import pytest
 from revisit.core.errors import DataLoss
 from revisit.core.index import FaissIndex
 from revisit.service.engines import schema
-from revisit.service.engines.local.sqlite import migration
+from revisit.service.engines.local.sqlite import migration, row_checksums
 from revisit.service.engines.local.sqlite.backup import make_backup, restore_backup
 from revisit.service.engines.local.sqlite.backup_key import own_key
 from revisit.service.engines.local.sqlite.examination import examine, scrub
@@ -112,6 +112,28 @@ def test_what_was_changed_beside_the_service_is_named(tmp_path, driven, change, 
     run(database, change)
     with closing(sqlite3.connect(database)) as connection:
         assert named in list(damaged_rows(connection))
+
+
+def test_a_change_of_any_value_of_any_table_is_named(tmp_path, driven):
+    database, changed = tmp_path / DATABASE, set()
+    database.write_bytes((driven / DATABASE).read_bytes())
+    with closing(sqlite3.connect(database, isolation_level=None)) as connection:
+        assert list(damaged_rows(connection)) == []
+        for table, arguments in row_checksums._tables(connection).items():
+            (rowid,) = connection.execute(f'SELECT max(rowid) FROM "{table}"').fetchone()
+            names = [row[1] for row in connection.execute(f'PRAGMA table_info("{table}")')] if rowid else []
+            for name in names:
+                connection.execute("BEGIN")
+                connection.execute(f'UPDATE "{table}" SET "{name}" = {OTHER.format(name)} WHERE rowid = {rowid}')
+                assert len(list(row_checksums._wrong_rows(connection, table, arguments))) == 1, (table, name)
+                connection.execute("ROLLBACK")
+                changed.add(table)
+    assert {"anchors", "map_merges", "map_tiles", "map_versions", "scans", "sessions", "jobs", "maps"} <= changed
+
+
+OTHER = """CASE typeof("{0}") WHEN 'integer' THEN "{0}" + 1 WHEN 'real' THEN "{0}" * 1.0000001 + 1e-9
+    WHEN 'text' THEN "{0}" || 'x' WHEN 'blob' THEN CAST("{0}" || x'00' AS BLOB) ELSE 1 END"""
+"""Another value of the same kind."""
 
 
 async def test_every_way_to_look_names_a_damaged_row_and_a_backup_of_it_is_not_taken_for_whole(tmp_path):
