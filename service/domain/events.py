@@ -29,7 +29,8 @@ WAITED_FOR = frozenset({OperationKind.SEARCH_CLOUD.value, OperationKind.LOCALIZE
 
 @dataclass(frozen=True)
 class EventRecord:
-    """A row of the log: something became true of `subject`, a loop's or an operation's id, in a map.
+    """A row of the log: something became true of `subject`, the id of a loop or an operation, the number of a version,
+    an anchor or a session, in a map.
 
     `number` is its place among the events of the map.
     """

@@ -161,7 +161,7 @@ def _event_of(uow: UnitOfWork, row: EventRecord) -> EventView | None:
         report = None if found is None else RetentionReport.of(found.retention_run)
         return None if report is None else EventView(row.number, kind, row.map_id, retention=report)
     if kind is EventKind.MAP_CHANGED:
-        session = uow.sessions.get(row.tenant, row.map_id, row.subject)
+        session = uow.sessions.numbered(row.tenant, [int(row.subject)]).get(int(row.subject))
         if session is None or session.changes_told is None:
             return None
         view = DriveChangesView(session.key, DriveChanges.of(session.changes_told))

@@ -113,5 +113,5 @@ def tell_changes(uow: UnitOfWork, drives: Sequence[SessionRecord], found: Mappin
         told = found[session.number]
         uow.sessions.replace(replace(session, changes_told=told.stored))
         if told.found_any:
-            event = EventRecord(session.tenant, session.map_id, EventKind.MAP_CHANGED.value, session.session_id)
+            event = EventRecord(session.tenant, session.map_id, EventKind.MAP_CHANGED.value, str(session.number))
             uow.events.record(event)

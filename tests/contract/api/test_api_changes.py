@@ -69,6 +69,10 @@ def test_a_drive_that_found_changes_is_told_once_where_a_webhook_asks_for_it(cli
     assert [one.name for one in comparisons(client, made)] == before
     shown = CliRunner().invoke(app, [*WATCH, "--map", made[5:], "--http", service.http])
     assert shown.stdout.strip().endswith(f"tuesday found {len(found)} vanished"), shown.output
+    client.delete(tuesday)
+    client.wait(client.post_submap(client.create_session(made, "wednesday"), "a", cloud_points(5), pose(5.0), MONDAY))
+    (later,) = itertools.islice(client.watch(made, after=event.number - 1, kinds=["MAP_CHANGED", "OPERATION"]), 1)
+    assert later.operation is not None  # of a drive that was deleted nothing is told any more
 
 
 def test_drives_are_not_compared_where_no_webhook_asks_for_changes(client):
