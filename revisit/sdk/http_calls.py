@@ -23,7 +23,7 @@ class HttpCalls:
     """A client of one service. `client` is for answers that come in pieces."""
 
     def __init__(
-        self, base_url: str, timeout: httpx.Timeout, headers: Mapping[str, str], verify: ssl.SSLContext | bool
+        self, base_url: str, timeout: httpx.Timeout, headers: Mapping[str, str], verify: ssl.SSLContext
     ) -> None:
         """`headers` go with every call."""
         # trust_env: a robot's proxy settings must not send its clouds elsewhere.

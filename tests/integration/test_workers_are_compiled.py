@@ -52,7 +52,7 @@ print(json.dumps({"verdict": verdict, "ready": len(ready), "later": sorted(loade
 """
 
 
-@pytest.mark.parametrize("beside", [False, True])
+@pytest.mark.parametrize("beside", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_no_job_asks_for_a_kernel_that_its_worker_has_not_loaded(beside):
     folder = os.open(Path(kernels.__file__).parent, os.O_RDONLY)
     if beside:  # as if another worker warmed up just now

@@ -7,6 +7,7 @@ from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import islice
+from operator import attrgetter
 from typing import Any, Generic, TypeVar
 
 from revisit.service.domain.errors import AlreadyExists, NotFound
@@ -37,7 +38,7 @@ Scalar = str | int | None
 
 @dataclass
 class Rows:
-    """The rows of one table by number, and the last number given out, in all and within each map."""
+    """The rows of one table by number, in the order of these, and the last number given out, in all and by map."""
 
     by_number: dict[int, Any] = field(default_factory=dict)
     last: int = 0
@@ -62,8 +63,10 @@ class Doomed:
 
     def hides(self, row: Any) -> bool:
         """Whether the map of a row, or a session that it names, is being deleted."""
-        named = {"", *(getattr(row, field, "") for field in SESSION_FIELDS)}
         deletions: Collection[DeletionRecord] = self._deletions.by_number.values()
+        if not deletions:
+            return False
+        named = {"", *(getattr(row, field, "") for field in SESSION_FIELDS)}
         return any(
             (one.tenant, one.map_id) == (row.tenant, row.map_id) and one.session_id in named for one in deletions
         )
@@ -86,11 +89,11 @@ class MemoryRepository(Generic[R]):
         self._rows = rows
         self._doomed = doomed
         self._on_change = on_change
-        self._key = ("tenant", *key)
+        self._key_of = attrgetter("tenant", *key)
 
     def add(self, record: R) -> R:
         """See `Repository`."""
-        if any(self._key_of(row) == self._key_of(record) for row in self._rows.by_number.values()):
+        if self._with_key(self._key_of(record)):
             raise AlreadyExists
         self._rows.last += 1
         added: R = dataclasses.replace(record, number=self._rows.last)  # type: ignore[type-var]  # R is a record
@@ -106,8 +109,7 @@ class MemoryRepository(Generic[R]):
 
     def get(self, tenant: TenantId, *key: str | int, hold: bool = False) -> R | None:
         """See `Repository`."""
-        rows = (row for row in self._rows.by_number.values() if self._key_of(row) == (tenant, *key))
-        return next((row for row in rows if self._is_seen(row)), None)
+        return next((row for row in self._with_key((tenant, *key)) if self._is_seen(row)), None)
 
     def find(self, tenant: TenantId, *, after: int = 0, limit: int | None = None, **equals: Scalar) -> list[R]:
         """See `Repository`."""
@@ -115,7 +117,8 @@ class MemoryRepository(Generic[R]):
 
     def numbered(self, tenant: TenantId, numbers: Sequence[int], *, hold: bool = False) -> dict[int, R]:
         """See `Repository`."""
-        return {row.number: row for row in self._matching(tenant, {}) if row.number in set(numbers)}
+        rows = (self._rows.by_number.get(number) for number in sorted(set(numbers)))
+        return {row.number: row for row in rows if row is not None and row.tenant == tenant and self._is_seen(row)}
 
     def distinct(self, tenant: TenantId, field: str, **equals: Scalar) -> set[Any]:
         """See `Repository`."""
@@ -127,12 +130,11 @@ class MemoryRepository(Generic[R]):
 
     def count_of_all_tenants(self, **equals: Scalar) -> int:
         """See `Repository`."""
-        rows = (row for row in self._rows.by_number.values() if self._is_seen(row))
-        return sum(all(getattr(row, name) == value for name, value in equals.items()) for row in rows)
+        return sum(self._is_seen(row) for row in _equal(self._rows.by_number.values(), equals))
 
     def of_all_tenants(self, *, after: int = 0, limit: int | None = None) -> list[R]:
         """See `Repository`."""
-        rows = (row for number, row in sorted(self._rows.by_number.items()) if number > after)
+        rows = (row for number, row in self._rows.by_number.items() if number > after)
         return [row for row in rows if self._is_seen(row)][:limit]
 
     def replace(self, record: R) -> None:
@@ -182,15 +184,23 @@ class MemoryRepository(Generic[R]):
 
     def _having(self, tenant: TenantId, equals: dict[str, Scalar]) -> list[Any]:
         """Rows that have what is asked, seen or not."""
-        wanted = {"tenant": tenant, **equals}
-        rows = [row for _, row in sorted(self._rows.by_number.items())]
-        return [row for row in rows if all(getattr(row, name) == value for name, value in wanted.items())]
+        return _equal(self._rows.by_number.values(), {"tenant": tenant, **equals})
+
+    def _with_key(self, key: tuple[Any, ...]) -> list[Any]:
+        """Rows of this key, seen or not."""
+        return [row for row in self._rows.by_number.values() if self._key_of(row) == key]
 
     def _is_seen(self, row: Any) -> bool:
         return self._doomed is None or not self._doomed.hides(row)
 
-    def _key_of(self, record: Any) -> tuple[Any, ...]:
-        return tuple(getattr(record, name) for name in self._key)
+
+def _equal(rows: Collection[Any], equals: dict[str, Scalar]) -> list[Any]:
+    """Rows whose fields have these values."""
+    if not equals:
+        return list(rows)
+    fields_of, values = attrgetter(*equals), tuple(equals.values())
+    wanted = values if len(values) > 1 else values[0]
+    return [row for row in rows if fields_of(row) == wanted]
 
 
 class MemoryScans(MemoryRepository[ScanRecord]):
@@ -359,7 +369,7 @@ class MemoryJobs(MemoryRepository[JobRecord]):
         return Waiting(min(queued_ns, default=None), begun_again)
 
     def _all(self) -> list[JobRecord]:
-        return [job for _, job in sorted(self._rows.by_number.items())]
+        return list(self._rows.by_number.values())
 
 
 def _lost(job: JobRecord, now_ms: int) -> bool:
@@ -409,10 +419,9 @@ class MemoryChangeLog:
 
     def since(self, tenant: TenantId, map_number: int, seq: int, limit: int | None = None) -> list[IndexChange]:
         """See `ChangeLog`."""
-        changes = [change for _, change in sorted(self._changes.by_number.items())]
         return [
             self._seen(change)
-            for change in changes
+            for change in self._changes.by_number.values()
             if (change.tenant, change.map_number) == (tenant, map_number) and change.number > seq
         ][:limit]
 
@@ -457,7 +466,7 @@ class MemoryEventLog:
 
     def following(self, tenant: TenantId, map_id: str, number: int, limit: int) -> list[EventRecord]:
         """See `EventLog`."""
-        own = [row for _, row in sorted(self._rows.by_number.items()) if (row.tenant, row.map_id) == (tenant, map_id)]
+        own = _equal(self._rows.by_number.values(), {"tenant": tenant, "map_id": map_id})
         gone = [row for row in own if row.kind == EventKind.FORGOTTEN and row.number > number][-1:]
         return (gone + [row for row in own if row.kind != EventKind.FORGOTTEN and row.number > number])[:limit]
 

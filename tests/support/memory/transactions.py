@@ -133,8 +133,8 @@ class MemoryTransactions:
     def read_here(self, work: Callable[[UnitOfWork], T]) -> T:
         """See `Transactions`."""
         with self._lock:
-            snapshot = self._copy()
-        return work(MemoryUnitOfWork(snapshot, self._lease_ms, self._clock))
+            committed = self._tables  # no transaction changes these: each writes in a copy
+        return work(MemoryUnitOfWork(committed, self._lease_ms, self._clock))
 
     def version(self) -> int | None:
         """See `Transactions`."""

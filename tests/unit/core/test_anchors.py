@@ -29,7 +29,7 @@ def straight(submaps: int) -> Fleet:
     return Fleet(PoseGraph.of([track], []), {"s0": truth})
 
 
-@pytest.mark.parametrize("street", [1, 8])
+@pytest.mark.parametrize("street", [1, pytest.param(8, marks=pytest.mark.slow)])
 def test_a_fleet_with_reflected_fixes_lies_where_it_is_on_earth(street: int) -> None:
     made = fleet(1, 0.2, sessions=5, submaps=80)
     anchors = []

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gzip
+import ssl
 from http.server import BaseHTTPRequestHandler, HTTPServer
 from threading import Thread
 
@@ -10,6 +11,8 @@ import httpx
 import pytest
 
 from revisit.sdk.http_calls import HttpCalls
+from revisit.sdk.rest_transport import NO_AUTHORITIES, RestTransport
+from revisit.sdk.retry import RetryPolicy
 
 TIMEOUT = httpx.Timeout(5.0)
 
@@ -64,7 +67,7 @@ def test_what_is_sent_is_what_httpx_sends(address, case, base):
     Echo.sent.clear()
     with httpx.Client(base_url=base, timeout=TIMEOUT, trust_env=False, headers=headers) as reference:
         expected = reference.request(method, path, **given)
-    calls = HttpCalls(base, TIMEOUT, headers, True)
+    calls = HttpCalls(base, TIMEOUT, headers, NO_AUTHORITIES)
     answers = [calls.request(method, path, **given) for _ in range(2)]
     calls.close()
     assert Echo.sent[0] == Echo.sent[1] == Echo.sent[2]
@@ -74,10 +77,17 @@ def test_what_is_sent_is_what_httpx_sends(address, case, base):
 
 
 def test_a_refusal_is_an_answer_and_no_service_is_an_error(address):
-    calls = HttpCalls(address, TIMEOUT, {}, True)
+    calls = HttpCalls(address, TIMEOUT, {}, NO_AUTHORITIES)
     assert calls.request("GET", "/nowhere").status_code == 404
     calls.close()
-    gone = HttpCalls("http://127.0.0.1:1", TIMEOUT, {}, True)
+    gone = HttpCalls("http://127.0.0.1:1", TIMEOUT, {}, NO_AUTHORITIES)
     with pytest.raises(httpx.ConnectError):
         gone.request("GET", "/")
     gone.close()
+
+
+def test_a_client_of_an_address_without_tls_reads_no_authorities(address, monkeypatch):
+    read = []
+    monkeypatch.setattr(ssl, "create_default_context", lambda *_, **given: read.append(given))
+    RestTransport(address, RetryPolicy()).close()
+    assert read == []
