@@ -84,9 +84,17 @@ def untold_drives(uow: UnitOfWork, record: MapRecord, version: int | None = None
     since_ns = _asked_since_ns(uow, record.tenant, record.map_id)
     if since_ns is None:
         return []
-    ended = uow.sessions.find(record.tenant, map_id=record.map_id, state=SessionState.FINISHED.value, changes_told=None)
     asked = record.map_version if version is None else version
-    return [one for one in ended if since_ns <= (one.finished_at_ns or 0) and _is_compared(uow, one, asked)]
+    return [one for one in _ended(uow, record, since_ns) if _is_compared(uow, one, asked)]
+
+
+def _ended(uow: UnitOfWork, record: MapRecord, since_ns: int) -> list[SessionRecord]:
+    """The drives that have ended since then and of which nothing was told; earlier ones are noted as told."""
+    state = SessionState.FINISHED.value
+    untold = uow.sessions.find(record.tenant, map_id=record.map_id, state=state, changes_told=None)
+    before = [one for one in untold if (one.finished_at_ns or 0) < since_ns]
+    uow.sessions.revise(before, changes_told=DriveChanges(0).stored)
+    return [one for one in untold if (one.finished_at_ns or 0) >= since_ns]
 
 
 def _asked_since_ns(uow: UnitOfWork, tenant: TenantId, map_id: str) -> int | None:

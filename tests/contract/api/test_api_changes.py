@@ -75,11 +75,14 @@ def test_a_drive_that_found_changes_is_told_once_where_a_webhook_asks_for_it(cli
     assert later.operation is not None  # of a drive that was deleted nothing is told any more
 
 
-def test_drives_are_not_compared_where_no_webhook_asks_for_changes(client):
+def test_drives_are_not_compared_that_ended_before_a_webhook_asked_for_changes(client, service):
     made = client.create_map(f"years-{next(_numbers)}", leave_distance_m=0).name
     client.create_webhook(made[5:], "https://hooks.example.com/revisit", map_=made, kinds=["MAP_VERSION"])
     for session in drive_twice(client, made, (5, 25)):
         client.finish_session(session)
+    client.wait(client.optimise_map(made))
+    service.world.clock.ms += 1
+    client.create_webhook(f"{made[5:]}-2", "https://hooks.example.com/revisit", map_=made, kinds=["MAP_CHANGED"])
     client.wait(client.optimise_map(made))
     assert comparisons(client, made) == []
 
