@@ -29,6 +29,13 @@ ALLOWED = {
 OPERATOR_TOOLS = ("evaluation/",)
 OPERATOR_CALLS = {"np.load", "np.fromfile", "np.loadtxt", "torch.load", "np.genfromtxt"}
 
+WORDS = re.compile(
+    r"\b(?:open3d|o3d|trimesh|plyfile|laspy|PIL|"
+    + "|".join(sorted({word for name in FORBIDDEN_CALLS for word in name.split(".")} - {"np", "numpy", "cv2", "open"}))
+    + r")\b"
+)
+"""A text without any of these has no reader to look for in its syntax tree."""
+
 
 def dangerous(text: str, tree: ast.Module) -> set[str]:
     """The forbidden readers that a module names: Open3D's as text, others in the syntax tree."""
@@ -45,7 +52,8 @@ def allowed(name: str) -> set[str]:
 
 
 def test_no_dangerous_reader_is_used():
-    found = {module.name: dangerous(module.text, module.tree) - allowed(module.name) for module in PRODUCT}
+    suspects = [module for module in PRODUCT if WORDS.search(module.text)]
+    found = {module.name: dangerous(module.text, module.tree) - allowed(module.name) for module in suspects}
     assert {name: readers for name, readers in found.items() if readers} == {}
 
 
@@ -66,4 +74,5 @@ def test_arrays_are_never_unpickled():
     ],
 )
 def test_the_search_itself_finds_what_it_should(text, expected):
+    assert WORDS.search(text)
     assert dangerous(text, ast.parse(text)) == expected

@@ -27,17 +27,16 @@ class Correction:
 
 @dataclass(frozen=True)
 class Loop:
-    """An accepted loop closure with its two submaps. covariance (6, 6) of T_match_query in (x, y, z, rx, ry, rz)."""
+    """An accepted loop closure with its two submaps.
+
+    T_match_query (4, 4) takes points of the query submap into the match submap's frame; covariance (6, 6) of it in
+    (x, y, z, rx, ry, rz).
+    """
 
     closure: LoopClosure
     query: Submap
     match: Submap
-
-    @property
-    def T_match_query(self) -> se3.Matrix4:
-        """Takes points of the query submap into the match submap's frame (4, 4)."""
-        assert self.closure.T_match_query is not None  # of every accepted loop
-        return self.closure.T_match_query
+    T_match_query: se3.Matrix4
 
     @property
     def covariance(self) -> NDArray[np.float64]:
@@ -82,7 +81,7 @@ class ServiceAnswers:
         for closure in found:
             query, match = self._submap(closure.query, own), self._submap(closure.match, own)
             if query is not None and match is not None and closure.T_match_query is not None:
-                loops.append(Loop(closure, query, match))
+                loops.append(Loop(closure, query, match, closure.T_match_query))
         return Answer(session, tuple(own.values()), tuple(loops), self._correction(session))
 
     def _correction(self, session: str) -> Correction | None:

@@ -53,7 +53,7 @@ def loop(number: int = 1, evidence: dict | None = None) -> Loop:
         similarity=0.8, score=0.93, T_match_query=STEP,
         evidence={"measurement": {"covariance": COVARIANCE.tolist()}} if evidence is None else evidence,
     )  # fmt: skip
-    return Loop(closure, query, match)
+    return Loop(closure, query, match, closure.T_match_query)
 
 
 def sent(store, message, kind: str):
