@@ -5,6 +5,7 @@ from __future__ import annotations
 import inspect
 import re
 from pathlib import Path
+from typing import Any
 
 import pytest
 from sqlalchemy import event
@@ -143,6 +144,13 @@ CALLS = {
 }
 """A call of each method, in an order in which all find what they need."""
 
+EVERY_SUBMAP = (
+    "SqlRepository.numbered", "SqlRepository.revise", "SqlScans.chosen_between", "SqlScans.first_seq_from",
+    "SqlSubmaps.found", "SqlSubmaps.last_seq", "SqlSubmaps.path", "SqlSubmaps.placed", "SqlLoops.accepted",
+    "SqlLoops.telling", "SqlJobs.unfinished", "SqlBlobRows.refer",
+)  # fmt: skip
+"""What a worker asks for with each submap: building a statement takes longer than running it."""
+
 
 @pytest.fixture(scope="module")
 def statements():
@@ -158,6 +166,19 @@ def statements():
     store.close()
     del sent[str(HIGHEST)]
     return [*sent.values(), blob_addresses.blob_addresses()]
+
+
+def test_statements_of_every_submap_are_built_once():
+    store, sent = PlainTransactions(lease_ms=1), list[Any]()
+    store.write(fill).result()
+    event.listen(store.database, "before_execute", lambda _connection, statement, *_rest: sent.append(statement))
+    for name in EVERY_SUBMAP:
+        sent.clear()
+        for _ in range(2):
+            store.write(CALLS[name]).result()
+        first, second = sent[: len(sent) // 2], sent[len(sent) // 2 :]
+        assert all(one is other for one, other in zip(first, second, strict=True)), name
+    store.close()
 
 
 def for_postgresql(statement) -> str:

@@ -6,7 +6,7 @@ from collections.abc import Collection
 from functools import cache
 from typing import Any
 
-from sqlalchemy import ColumnElement, Select, and_, bindparam, delete, func, or_, select, text
+from sqlalchemy import BindParameter, ColumnElement, Select, and_, bindparam, delete, func, or_, select, text
 
 from revisit.service.domain.identity import TenantId
 from revisit.service.domain.records import JobRecord
@@ -29,10 +29,8 @@ class SqlJobs(SqlRepository[JobRecord]):
 
     def unfinished(self, tenant: TenantId, operation_ids: Collection[str]) -> frozenset[str]:
         """See `JobRepository`."""
-        jobs = tables.jobs.c
-        going_on = jobs.state.in_((OperationState.QUEUED.value, OperationState.RUNNING.value))
-        its = and_(jobs.tenant == tenant, jobs.operation_id.in_(operation_ids), going_on)
-        return frozenset(self._connection.execute(select(jobs.operation_id).where(its)).scalars())
+        asked = {"its_tenant": tenant, "operations": list(operation_ids)}
+        return frozenset(self._connection.execute(_unfinished(), asked).scalars())
 
     def exhausted(self, now_ms: int, *, hold: bool = False) -> list[JobRecord]:
         """See `LeasableJobs`."""
@@ -73,6 +71,15 @@ class SqlJobs(SqlRepository[JobRecord]):
         lost = or_(and_(queued, jobs.attempts > 0), and_(running, jobs.attempts > 1))
         begun_again = select(func.count()).select_from(tables.jobs).where(lost)
         return Waiting(oldest_ns, int(self._connection.execute(begun_again).scalar_one()))
+
+
+@cache
+def _unfinished() -> Select[Any]:
+    """The `operations` of `its_tenant` that wait or run."""
+    jobs, operations = tables.jobs.c, BindParameter[Any]("operations", expanding=True)
+    going_on = jobs.state.in_((OperationState.QUEUED.value, OperationState.RUNNING.value))
+    its = and_(jobs.tenant == bindparam("its_tenant"), jobs.operation_id.in_(operations), going_on)
+    return select(jobs.operation_id).where(its)
 
 
 @cache

@@ -24,10 +24,10 @@ class SqlLoops(SqlRepository[LoopRecord]):
         self, tenant: TenantId, map_id: str, *, after: int = 0, limit: int | None = None, **equals: Scalar
     ) -> list[LoopRecord]:
         """See `LoopRepository`."""
-        seq, asked = tables.loops.c.seq, of_tenant(tenant, {"map_id": map_id, **equals})
-        # The condition of the partial index, word for word.
-        query = self._rows_where(asked).where(text(tables.ACCEPTED), seq > after).order_by(seq).limit(limit)
-        return [self._of(row) for row in self._connection.execute(query, asked)]
+        asked = of_tenant(tenant, {"map_id": map_id, **equals})
+        query = _accepted(self._rows_where(asked), limited=limit is not None)
+        rows = self._connection.execute(query, {**asked, "after_seq": after, "at_most": limit})
+        return [self._of(row) for row in rows]
 
     def telling(self, tenant: TenantId, query_numbers: Sequence[int], reasons: Sequence[str]) -> list[LoopRecord]:
         """See `LoopRepository`."""
@@ -47,6 +47,15 @@ class SqlLoops(SqlRepository[LoopRecord]):
         """See `LoopRepository`."""
         rows = self._connection.execute(_reasons(), {"numbers": numbers, "its_tenant": tenant})
         return {row.reason: row.loops for row in rows}
+
+
+@cache
+def _accepted(rows: Select[Any], *, limited: bool) -> Select[Any]:
+    """The accepted ones of loops with a `seq` above `after_seq`, by it; `at_most` so many of them where `limited`."""
+    seq = tables.loops.c.seq
+    # The condition of the partial index, word for word.
+    accepted = rows.where(text(tables.ACCEPTED), seq > bindparam("after_seq")).order_by(seq)
+    return accepted.limit(bindparam("at_most")) if limited else accepted
 
 
 @cache

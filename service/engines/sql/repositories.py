@@ -173,8 +173,7 @@ class SqlRepository(Generic[R]):
         for start in range(0, len(which), REVISED_AT_ONCE):
             some = which[start : start + REVISED_AT_ONCE]
             which_rows = {"numbers": [row["number"] for row in some], "its_tenant": some[0]["tenant"]}
-            query = update(self._table).where(_have_numbers(self._table)).values(fields)
-            if self._connection.execute(query, which_rows).rowcount != len(some):
+            if self._connection.execute(_revised(self._table), {**fields, **which_rows}).rowcount != len(some):
                 raise NotFound
         if self._on_change is not None:
             for record in records:
@@ -224,19 +223,18 @@ class SqlScans(SqlRepository[ScanRecord]):
     def first_seq_from(self, tenant: TenantId, map_id: str, session_id: str, travelled_m: float) -> int | None:
         """See `ScanRepository`."""
         asked = of_tenant(tenant, {"map_id": map_id, "session_id": session_id})
-        where = and_(self._where(asked), tables.scans.c.travelled_m >= travelled_m)
-        query = select(func.min(tables.scans.c.seq)).where(where)
-        first: int | None = self._connection.execute(query, asked).scalar_one()
+        query = _first_seq_from(self._sees_all, tuple(asked))
+        first: int | None = self._connection.execute(query, {**asked, "from_m": travelled_m}).scalar_one()
         return first
 
     def chosen_between(
         self, tenant: TenantId, map_id: str, session_id: str, first: int, last: int, newest: int | None = None
     ) -> list[ScanRecord]:
         """See `ScanRepository`."""
-        seq, asked = tables.scans.c.seq, of_tenant(tenant, {"map_id": map_id, "session_id": session_id})
-        within = and_(tables.scans.c.chosen, seq >= first, seq <= last)
-        query = self._rows_where(asked).where(within).order_by(seq.desc()).limit(newest)
-        return [self._of(row) for row in self._connection.execute(query, asked)][::-1]
+        asked = of_tenant(tenant, {"map_id": map_id, "session_id": session_id})
+        query = _chosen_between(self._sees_all, tuple(asked), limited=newest is not None)
+        rows = self._connection.execute(query, {**asked, "first": first, "last": last, "at_most": newest})
+        return [self._of(row) for row in rows][::-1]
 
     def around(self, tenant: TenantId, map_id: str, session_id: str, stamp_ns: int, limit: int) -> list[ScanRecord]:
         """See `ScanRepository`. Times rise with the numbers, which have an index: a search by halves."""
@@ -285,9 +283,8 @@ class SqlSubmaps(SqlRepository[SubmapRecord]):
 
     def last_seq(self, tenant: TenantId, map_id: str) -> int:
         """See `SubmapRepository`."""
-        counters = tables.map_counters.c
-        query = select(counters.submaps).where(counters.tenant == tenant, counters.map_id == map_id)
-        return int(self._connection.execute(query).scalar() or 0)
+        asked = of_tenant(tenant, {"map_id": map_id})
+        return int(self._connection.execute(_last_seq(), asked).scalar() or 0)
 
     def points_of(self, tenant: TenantId) -> int:
         """See `SubmapRepository`."""
@@ -298,11 +295,9 @@ class SqlSubmaps(SqlRepository[SubmapRecord]):
 
     def placed(self, tenant: TenantId, map_id: str, after: int = 0) -> list[PlacedSubmap]:
         """See `SubmapRepository`."""
-        submaps, asked = tables.submaps.c, of_tenant(tenant, {"map_id": map_id})
-        columns = (submaps[field.name] for field in dataclasses.fields(PlacedSubmap))
-        query = select(*columns).where(self._where(asked), submaps.seq > after)
-        query = query.order_by(submaps.session_number, submaps.ordinal)
-        return [PlacedSubmap(*row) for row in self._connection.execute(query, asked)]
+        asked = of_tenant(tenant, {"map_id": map_id})
+        query = _placed(self._sees_all, tuple(asked))
+        return [PlacedSubmap(*row) for row in self._connection.execute(query, {**asked, "after_seq": after})]
 
     def found(self, tenant: TenantId, numbers: Sequence[int]) -> dict[int, FoundSubmap]:
         """See `SubmapRepository`."""
@@ -393,6 +388,44 @@ def _distinct_where(
 def _numbered(table: Table, sees_all: bool, *, hold: bool) -> Select[Any]:
     rows = select(table).where(_have_numbers(table), seen(table, sees_all))
     return rows.order_by(table.c.number).with_for_update(key_share=True) if hold else rows
+
+
+@cache
+def _revised(table: Table) -> Update:
+    """Sets the columns that are given of the rows with one of the `numbers`."""
+    return update(table).where(_have_numbers(table))
+
+
+@cache
+def _first_seq_from(sees_all: bool, given: tuple[str, ...]) -> Select[Any]:
+    """Takes `from_m`."""
+    scans = tables.scans
+    from_m = scans.c.travelled_m >= bindparam("from_m")
+    return select(func.min(scans.c.seq)).where(_has(scans, given, ()), seen(scans, sees_all), from_m)
+
+
+@cache
+def _chosen_between(sees_all: bool, given: tuple[str, ...], *, limited: bool) -> Select[Any]:
+    """From `first` to `last`, the newest first; `at_most` so many of them where `limited`."""
+    scans = tables.scans.c
+    within = and_(scans.chosen, scans.seq >= bindparam("first"), scans.seq <= bindparam("last"))
+    rows = _rows_where(tables.scans, sees_all, given, ()).where(within).order_by(scans.seq.desc())
+    return rows.limit(bindparam("at_most")) if limited else rows
+
+
+@cache
+def _last_seq() -> Select[Any]:
+    counters = tables.map_counters
+    return select(counters.c.submaps).where(_has(counters, ("tenant", "map_id"), ()))
+
+
+@cache
+def _placed(sees_all: bool, given: tuple[str, ...]) -> Select[Any]:
+    """The columns of PlacedSubmap of submaps with a `seq` above `after_seq`, by session and the order of the drive."""
+    submaps = tables.submaps.c
+    query = select(*(submaps[field.name] for field in dataclasses.fields(PlacedSubmap)))
+    query = query.where(_has(tables.submaps, given, ()), seen(tables.submaps, sees_all))
+    return query.where(submaps.seq > bindparam("after_seq")).order_by(submaps.session_number, submaps.ordinal)
 
 
 @cache
