@@ -14,7 +14,7 @@ from revisit.service.features.loops.rows import LoopStanding
 from revisit.service.features.recognition import loop_recall_job
 from revisit.service.features.recognition.loop_recall_job import loops_to_recall
 from tests.support.fake_recogniser import FakeRecogniser
-from tests.support.fleet_in_service import fleet_in
+from tests.support.fleet_in_service import fleet_in, slipped_fleet_in
 from tests.support.service_world import TENANT, memory_world, sqlite_world
 from tests.support.verdicts import rejected
 
@@ -43,9 +43,12 @@ class Geometry(FakeRecogniser):
 class Town:
     """A map of two drives of which some right loops were rejected, in a service that optimises maps by itself."""
 
-    def __init__(self, world) -> None:
+    def __init__(self, world, store=None) -> None:
         self.world = world
-        fleet_in(world, MAP, 0.3, sessions=2, submaps=16, per_pair=12, with_places=True)
+        if store is None:
+            fleet_in(world, MAP, 0.3, sessions=2, submaps=16, per_pair=12, with_places=True)
+        else:
+            store(world, MAP, with_places=True)
         self.right = [loop for loop in self.loops() if loop.loop_id.startswith("right")]
 
     def loops(self):
@@ -212,3 +215,52 @@ async def test_a_map_that_is_only_optimised_when_asked_is_left_as_it_is():
     town.rejected(town.right[0])
     assert await town.optimised(geometry) == 1
     assert not geometry.asked
+
+
+SLIP, BESIDE = 30, range(26, 34)
+"""The submap of `s1` behind a slip of 5 m, and those beside it whose right loops contradict each other."""
+
+
+def of_slipped(town: Town, loops, ordinals) -> list:
+    """The loops with an end at these submaps of the session that slipped."""
+    submaps = town.read(lambda uow: uow.submaps.find(TENANT, map_id=MAP, session_id="s1"))
+    numbers = {one.number for one in submaps if one.ordinal in ordinals}
+    return [loop for loop in loops if numbers & {loop.query_number, loop.match_number}]
+
+
+def doubted(loops, *names: str) -> list:
+    """The loops as acceptance leaves those that others contradict."""
+    doubts = {name: {"words": "others say otherwise", "figures": {}} for name in names}
+    return [replace(loop, evidence={**loop.evidence, "doubts": doubts}) for loop in loops]
+
+
+async def test_loops_that_contradicted_each_other_across_a_slip_return_once_a_version_has_mended_it():
+    town, geometry = Town(memory_world(optimise_after_loops=1), slipped_fleet_in), Geometry()
+    beside = of_slipped(town, town.right, BESIDE)
+    by_others, alias = (
+        doubted(beside[1:], "PAIRWISE_INCONSISTENT", "SUPPORT_LOST"),
+        doubted(beside[:1], "PERCEPTUAL_ALIAS"),
+    )
+    town.rejected(*by_others, *alias, reason="AMBIGUOUS", graph_state=None)
+    await town.optimised(geometry)
+    assert len(by_others) > 5
+    assert {(town.loop(one).state, town.loop(one).graph_state) for one in by_others} == {("ACCEPTED", "IN_MAP")}
+    assert town.loop(alias[0]).state == "REJECTED"
+    versions = town.read(lambda uow: uow.map_versions.find(TENANT, map_id=MAP))
+    wide, narrow = (one.summary["odometry_faults"][0] for one in (versions[0], versions[-1]))
+    assert wide["submaps"] > 6 and narrow["submaps"] <= 4
+    ends = town.read(lambda uow: uow.submaps.numbered(TENANT, [narrow["first_number"], narrow["last_number"]]))
+    assert ends[narrow["first_number"]].ordinal < SLIP <= ends[narrow["last_number"]].ordinal
+
+
+async def test_a_contradicted_loop_that_agrees_with_no_side_of_a_slip_stays_ambiguous():
+    town, geometry = Town(memory_world(optimise_after_loops=1), slipped_fleet_in), Geometry()
+    wrong = []
+    for loop in doubted(of_slipped(town, town.right, BESIDE), "PAIRWISE_INCONSISTENT"):
+        T = list(loop.T_match_query)
+        T[7] += 2.5  # aside
+        wrong.append(replace(loop, T_match_query=tuple(T)))
+    town.rejected(*wrong, reason="AMBIGUOUS", graph_state=None)
+    await town.optimised(geometry)
+    assert not geometry.asked
+    assert {town.loop(one).state for one in wrong} == {"REJECTED"}

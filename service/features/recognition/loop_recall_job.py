@@ -32,6 +32,7 @@ from revisit.service.features.index.place_memory import RecalledPlace
 from revisit.service.features.loops.claims import rules_of, verdict_evidence
 from revisit.service.features.loops.rows import Change, LoopStanding, change_loop, decided_by_person
 from revisit.service.features.operations.progress import OperationCancelled, Progress
+from revisit.service.features.recognition.beside_faults import loops_beside_faults
 from revisit.service.ports.job_context import JobContext
 from revisit.service.ports.job_queue import CANCELLED, Lease
 from revisit.service.ports.recogniser import PlaceRecogniser
@@ -42,8 +43,8 @@ RECALL = "recall"
 
 RECALLED_REASONS = frozenset({"NO_COMMON_REGION", "DEGENERATE_ALIGNMENT", "IMPLAUSIBLE_TILT", "LOW_OVERLAP",
                               "SEEN_THROUGH", "LOW_SCORE"})  # fmt: skip
-"""Reasons that a wrong start of registration can have. Not AMBIGUOUS, which other loops decide (docs/decisions/0161),
-nor reasons that hold from any start."""
+"""Reasons that a wrong start of registration can have. Not those that hold from any start, nor AMBIGUOUS, which other
+loops decide (docs/decisions/0161), but for those beside a fault of odometry (`beside_faults`)."""
 
 MOST_RECALLED = 50
 """Loops, at most, that one version of a map gives another chance."""
@@ -121,11 +122,22 @@ def loops_to_recall(
 
     Read page by page, so that a large map holds up nobody.
     """
+    beside = transactions.read(partial(_beside_faults, policy=policy, tenant=tenant, map_id=map_id)).result()
     found: Iterable[_Found] = _found(transactions, policy, tenant, map_id, progress)
-    best = heapq.nsmallest(
+    best = beside + heapq.nsmallest(
         2 * MOST_RECALLED, found, key=lambda one: (-one.record.similarity, -one.record.score, one.record.number)
     )
     return transactions.read(partial(_undecided, tenant=tenant, best=best)).result()[:MOST_RECALLED]
+
+
+def _beside_faults(uow: UnitOfWork, policy: Policy, tenant: TenantId, map_id: str) -> list[_Found]:
+    """Ambiguous loops beside faults of odometry that the version in force has mended."""
+    record = uow.maps.get(tenant, map_id)
+    if record is None or not record.map_version:
+        return []
+    frames, rules = MapFrames(uow, tenant, map_id), policy.for_map(record).verification
+    loops = loops_beside_faults(uow, record, frames, rules)
+    return [_Found(record, loop, T) for loop, T in loops if not _was_tested(loop, T)]
 
 
 def _found(
