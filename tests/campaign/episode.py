@@ -81,8 +81,12 @@ class Episode:
         assert isinstance(service, Upgradable)
         return service
 
-    def call(self, method: str, path: str, timeout_s: float = 20.0, **given: object) -> httpx.Response | None:
-        """A call of the operator; None without an answer. What tells of a mistake is a surprise."""
+    def call(
+        self, method: str, path: str, timeout_s: float = 20.0, known: str = "", **given: object
+    ) -> httpx.Response | None:
+        """A call of the operator; None without an answer. What tells of a mistake is a surprise, but for a reason that
+        is `known`.
+        """
         name = f"{method} {path.rpartition(':')[2] if ':' in path else path.split('/')[-1][:3]}"
         try:
             with httpx.Client(verify=False, trust_env=False, timeout=timeout_s) as client:
@@ -91,7 +95,7 @@ class Episode:
             self.answers[f"{name} none"] += 1
             return None
         self.answers[f"{name} {answer.status_code}"] += 1
-        if answer.status_code in MISTAKEN:
+        if answer.status_code in MISTAKEN and not (known and known in answer.text):
             self.surprises.append(f"{method} {path}: {answer.status_code} {answer.text}")
         return answer
 
@@ -119,7 +123,8 @@ class Episode:
             position = (48.0, 11.0 + 1e-6 * stamp_ns, 500.0)
             self.anchors.setdefault(session_id, []).append(anchor_id)
             fields = {"anchor_id": anchor_id, "kind": "GNSS", "stamp_ns": stamp_ns, "covariance_enu": COVARIANCE}
-            place = {"geodetic": ",".join(map(str, position)), "T_odom_sensor": "0,0,0,0,0,0,1"}
+            at = dict(zip(("latitude_deg", "longitude_deg", "altitude_m"), position, strict=True))
+            place = {"geodetic": at, "T_odom_sensor": "0,0,0,0,0,0,1"}
             operation = history.invoke("operator", Kind.PUT, f"anchor/{anchor_id}", str(position))
             sent.append((operation, {**fields, **place}))
         asked, anchors = f"maps/yard/sessions/{session_id}/anchors", [one for _, one in sent]

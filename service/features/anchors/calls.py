@@ -149,16 +149,15 @@ def _stored(uow: UnitOfWork, session: SessionRecord, rows: Sequence[AnchorRecord
 
     Raises AlreadyExists where one of an id has other content, BadField where the session would have too many.
     """
-    held = _anchors_of(uow, session)
-    stored = [_known(uow, row) or uow.anchors.add(row) for row in rows]
-    added = _anchors_of(uow, session) - held
-    if added and held + added > limits.ANCHORS_OF_SESSION:
+    stored, added = list[AnchorRecord](), 0
+    for row in rows:
+        known = _known(uow, row)
+        stored.append(known or uow.anchors.add(row))
+        added += known is None
+    of_session = {"map_id": session.map_id, "session_id": session.session_id}
+    if added and uow.anchors.count(TenantId(session.tenant), **of_session) > limits.ANCHORS_OF_SESSION:
         raise BadField(f"a session has at most {limits.ANCHORS_OF_SESSION} anchors", field="anchors")
     return stored, added
-
-
-def _anchors_of(uow: UnitOfWork, session: SessionRecord) -> int:
-    return uow.anchors.count(TenantId(session.tenant), map_id=session.map_id, session_id=session.session_id)
 
 
 def _known(uow: UnitOfWork, row: AnchorRecord) -> AnchorRecord | None:
