@@ -68,16 +68,22 @@ def moved(source, target):
     move_rows(source, target, quiet)
 
 
+def moved_back(target, folder):
+    """The engine of a new store in `folder` with the rows of `target`."""
+    folder.mkdir()
+    migrate(folder / sqlite.DATABASE)
+    back = sqlite.writer_engine(folder / sqlite.DATABASE, checkpoints=True)
+    moved(target, back)
+    return back
+
+
 async def test_rows_are_the_same_in_postgresql_and_back_again(home, tmp_path, server):
     source, target = engines(home, server.made_database())
     moved(source, target)
     there = digest(target)
     assert there == digest(source)
     assert there[0]["submaps"] == 6 and there[0]["loop_events"] >= 0 and there[0]["jobs"] > 6
-    (tmp_path / "back").mkdir()
-    migrate(tmp_path / "back" / sqlite.DATABASE)
-    back = sqlite.writer_engine(tmp_path / "back" / sqlite.DATABASE, checkpoints=True)
-    moved(target, back)
+    back = moved_back(target, tmp_path / "back")
     assert digest(back) == there
     for engine in (source, target, back):
         engine.dispose()
@@ -93,10 +99,7 @@ def test_what_a_whole_drive_has_left_is_the_same_in_postgresql_and_back_again(tm
     assert there == digest(source)
     filled = {name for name, rows in there[0].items() if rows}
     assert {"anchors", "loop_events", "map_files", "map_merges", "map_tiles", "map_versions"} <= filled
-    (tmp_path / "back").mkdir()
-    migrate(tmp_path / "back" / sqlite.DATABASE)
-    back = sqlite.writer_engine(tmp_path / "back" / sqlite.DATABASE, checkpoints=True)
-    moved(target, back)
+    back = moved_back(target, tmp_path / "back")
     assert digest(back) == there
     for engine in (source, target, back):
         engine.dispose()
