@@ -30,6 +30,11 @@ class FaultKind(StrEnum):
     SLOPE = "SLOPE"
     HEADING = "HEADING"
 
+    @property
+    def is_at_once(self) -> bool:
+        """Whether it is one broken step, and not wrong throughout."""
+        return self in (FaultKind.SLIP, FaultKind.JUMP, FaultKind.TURN, FaultKind.TILT)
+
 
 @dataclass(frozen=True)
 class OdometryFault:

@@ -16,7 +16,7 @@ from revisit.service.features.corrections.job import EarlyCorrections
 from revisit.service.features.loops.rows import Change, add_loop
 from revisit.service.features.merging.calls import MergeMap
 from tests.support.fake_merger import FakeMerger
-from tests.support.fleet_in_service import fleet_in, fleet_in_two
+from tests.support.fleet_in_service import fleet_in, fleet_in_two, slipped_fleet_in
 from tests.support.service_world import TENANT, memory_world
 
 COPIES = {"s1", "s3"}
@@ -97,6 +97,22 @@ async def test_surfaces_are_asked_for_each_join_and_again_each_time_that_a_sessi
         await optimised(world)
         assert len(world.merger.asked) == asked
     assert submaps_of(world, "s2") in world.merger.asked[-1]
+
+
+async def test_submaps_between_the_loops_beside_a_broken_step_are_not_compared():
+    """The step may be any of those, and a surface that is metres off would refuse the whole drive."""
+    world = memory_world()
+    slipped_fleet_in(world, "town")
+    world.merger = Walled(set())
+    silent = {one.number for one in rows(world, "submaps", map_id="town", session_id="s1") if 26 <= one.ordinal < 34}
+    contradicted = [one for one in rows(world, "loops", map_id="town") if silent & {one.query_number, one.match_number}]
+    rejected = [replace(one, state="REJECTED", reason="AMBIGUOUS", graph_state=None) for one in contradicted]
+    world.context.transactions.write(lambda uow: [uow.loops.replace(one) for one in rejected] and None).result()
+    (fault,) = (await optimised(world))["odometry_faults"]
+    assert fault["kind"] == "SLIP" and silent
+    ((first, second, _),) = world.merger.asked
+    assert silent.isdisjoint(first | second)
+    assert len(first) == 60 and 45 < len(second) <= 52
 
 
 async def test_the_price_of_a_version_is_shared_by_its_joins():

@@ -191,12 +191,21 @@ def _has_unsettled(task: MapTask) -> bool:
 
 
 def _poses(task: MapTask, optimised: OptimisedMap, sessions: Sessions) -> dict[int, Matrix4]:
-    """T_map_submap (4, 4) of the submaps of some sessions, by number."""
+    """T_map_submap (4, 4) of the submaps of some sessions, by number; without those that a broken step of odometry may
+    lie before or behind: nobody knows where they are.
+    """
+    unknown = {
+        (fault.session, ordinal)
+        for fault in optimised.faults
+        if fault.kind.is_at_once
+        for ordinal in range(fault.first + 1, fault.last)
+    }
     return {
         number: T_map_submap
         for track, solved in zip(task.graph.tracks, optimised.tracks, strict=True)
         if track.session_number in sessions
-        for number, T_map_submap in zip(track.submaps, solved.T_map_submap, strict=True)
+        for ordinal, (number, T_map_submap) in enumerate(zip(track.submaps, solved.T_map_submap, strict=True))
+        if (str(track.session_number), ordinal) not in unknown
     }
 
 

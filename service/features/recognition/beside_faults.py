@@ -24,7 +24,6 @@ from revisit.service.features.graph.map_frames import MapFrames
 from revisit.service.ports.map_optimiser import FAULTS
 from revisit.service.ports.transactions import UnitOfWork
 
-_AT_ONCE = frozenset({FaultKind.SLIP, FaultKind.JUMP, FaultKind.TURN, FaultKind.TILT})
 _BY_OTHERS = frozenset({Doubt.PAIRWISE_INCONSISTENT, Doubt.SUPPORT_LOST})
 """Doubts that loops raise which lie across a broken step."""
 
@@ -79,7 +78,8 @@ def _sides(uow: UnitOfWork, record: MapRecord, frames: MapFrames) -> list[_Side]
     """Both ends of each broken step that the version in force has mended."""
     version = uow.map_versions.get(record.tenant, record.map_id, record.map_version)
     faults = [] if version is None else version.summary.get(FAULTS, [])
-    numbers = [fault[end] for fault in faults if fault["kind"] in _AT_ONCE for end in ("first_number", "last_number")]
+    broken = [fault for fault in faults if FaultKind(fault["kind"]).is_at_once]
+    numbers = [fault[end] for fault in broken for end in ("first_number", "last_number")]
     known = uow.submaps.numbered(record.tenant, sorted(set(numbers))) if numbers else {}
     sides = []
     for submap in known.values():
