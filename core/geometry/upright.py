@@ -6,7 +6,7 @@ looks ahead) is served as well as one that sees little else.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,6 +31,8 @@ LEAST_LEAN_RAD = float(np.radians(10.0))
 """The least tilt by which surfaces contradict a z that is said to point up: steeper roads are rare."""
 BORNE_OUT = 0.5
 """The share of the vertical's own support with which surfaces bear out another direction."""
+TELLING_WALLS = 0.02
+"""The share of surfaces that are upright by one of two directions alone with which walls decide between them."""
 RIVAL_RAD = np.radians(12.0)
 RIVAL_SHARE = 0.95
 _AT_ONCE = 32
@@ -39,10 +41,15 @@ _AT_ONCE = 32
 
 @dataclass(frozen=True)
 class UpAxis:
-    """The vertical. `up` (3,) is a unit vector in the frame of the cloud; `support` the share 0..1 of its surfaces."""
+    """The vertical. `up` (3,) is a unit vector in the frame of the cloud; `support` the share 0..1 of its surfaces.
+
+    `walls`: the share of surfaces that are upright by it and not by z, less the share that are by z and not by it; 0
+    where that was not looked at.
+    """
 
     up: Array
     support: float
+    walls: float = 0.0
 
     @property
     def tilt_rad(self) -> float:
@@ -75,14 +82,24 @@ def estimate_up(points: NDArray[np.floating], seed: int = 0) -> UpAxis | None:
 def contradicting_up(points: NDArray[np.floating], seed: int = 0) -> UpAxis | None:
     """The vertical of a cloud (n, 3) whose z should point up, where its surfaces contradict that (decision 0360).
 
-    None where they do not tell (`estimate_up`), tell less than 10 degrees, or bear z out, too.
+    None where they do not tell (`estimate_up`), tell less than 10 degrees, or bear z out, too: all of them, or the
+    walls, as on a slope.
     """
-    normals = _drawn_normals(points, seed)
-    borne_out = float(_scores(np.eye(3)[2:], normals)[0]) if len(normals) else 1.0
+    normals, z = _drawn_normals(points, seed), np.array([0.0, 0.0, 1.0])
+    borne_out = float(_scores(z[None], normals)[0]) if len(normals) else 1.0
     if borne_out >= BORNE_OUT:  # of any support
         return None
     up = _vertical(normals)
-    return None if up is None or up.tilt_rad < LEAST_LEAN_RAD or borne_out >= BORNE_OUT * up.support else up
+    if up is None or up.tilt_rad < LEAST_LEAN_RAD or borne_out >= BORNE_OUT * up.support:
+        return None
+    walls = _walls(up.up, z, normals) - _walls(z, up.up, normals)
+    return None if walls <= -TELLING_WALLS else replace(up, walls=walls)
+
+
+def _walls(up: Array, other: Array, normals: Array) -> float:
+    """The share of normals (n, 3) that are square to `up` (3,), and not to `other` (3,), softly."""
+    square, square_to_other = (np.exp(-0.5 * (normals @ one / TOLERANCE_RAD) ** 2) for one in (up, other))
+    return float((square * (1.0 - square_to_other)).mean())
 
 
 def _drawn_normals(points: NDArray[np.floating], seed: int) -> Array:

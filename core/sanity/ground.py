@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from revisit.core.geometry import se3
-from revisit.core.geometry.upright import UpAxis, contradicting_up
+from revisit.core.geometry.upright import TELLING_WALLS, UpAxis, contradicting_up
 from revisit.core.geometry.voxel_keys import first_rows, voxel_keys
 from revisit.core.sanity.finding import Finding
 from revisit.core.sanity.numbers import MIN_SCENE_M
@@ -102,13 +102,16 @@ def place_flags(
 def ground_lean(points: NDArray[np.floating], scores_of: PlaneScores = scores_of_planes) -> UpAxis | None:
     """The vertical of a level submap by its points (n, 3), where its surfaces contradict z; None where z may point up.
 
-    A plane around the sensor must agree: roofs and panels in rows are many, but no ground.
+    A plane around the sensor must agree: roofs and panels in rows are many, but no ground. Where no plane surrounds
+    the sensor, walls must: a hillside beside a level way leans, and is no ground either.
     """
     sample = np.ascontiguousarray(sample_of(points))
     up = contradicting_up(sample)
-    plane = None if up is None else ground_plane(sample, scores_of=scores_of)
-    is_ground = plane is None or up is None or float(up.up @ plane.normal) > np.cos(ROUGH_PLANE_RAD)
-    return up if is_ground else None
+    if up is None:
+        return None
+    plane = ground_plane(sample, scores_of=scores_of)
+    agrees = up.walls >= TELLING_WALLS if plane is None else float(up.up @ plane.normal) > np.cos(ROUGH_PLANE_RAD)
+    return up if agrees else None
 
 
 def thinned_cloud(points: NDArray[np.floating]) -> tuple[Array, float]:
@@ -142,7 +145,7 @@ def check_gravity(scans: Sequence[Scan], scores_of: PlaneScores = scores_of_plan
     known = [(scan, plane) for scan, plane in zip(scans, planes, strict=True) if plane is not None]
     tilted = [plane for _, plane in known if not plane.upright]
     if len(known) < max(2, len(scans) // 3) or len(tilted) < 0.7 * len(known):
-        return _leaning(scans)
+        return _leaning(scans, scores_of)
     heights = np.median([plane.height_m for plane in tilted])
     tilts = [np.degrees(plane.tilt_rad) for plane in tilted]
     measured = f"the ground, {heights:.2g} m away, is tilted by {np.median(tilts):.0f} degrees"
@@ -153,11 +156,11 @@ def check_gravity(scans: Sequence[Scan], scores_of: PlaneScores = scores_of_plan
     return [Finding("ground_tilted", measured, *_why_tilted(np.median([plane.normal for plane in tilted], axis=0)))]
 
 
-def _leaning(scans: Sequence[Scan]) -> list[Finding]:
+def _leaning(scans: Sequence[Scan], scores_of: PlaneScores) -> list[Finding]:
     """Whether the surfaces of the first and the last scan have one vertical, and that is not z of the odometry."""
     first: UpAxis | None = None
     for scan in (scans[0], scans[-1]) if len(scans) > 1 else ():
-        up = contradicting_up(sample_of(scan.points) @ scan.T_odom_sensor[:3, :3].T)
+        up = ground_lean(sample_of(scan.points) @ scan.T_odom_sensor[:3, :3].T, scores_of)
         if up is None or (first and first.up @ up.up < np.cos(SAME_LEAN_RAD)):
             return []
         first = up

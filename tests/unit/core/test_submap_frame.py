@@ -137,11 +137,33 @@ def slope(percent: float) -> np.ndarray:
     return points
 
 
+def hillside(degrees: float, way_m: float = 4.0) -> np.ndarray:
+    """A level way across a hillside, which rises to one side and falls to the other."""
+    rng, tangent = np.random.default_rng(5), np.tan(np.radians(degrees))
+    across = rng.uniform(-15.0, 15.0, 120_000)
+    nearness = (4.0 / (4.0 + np.abs(across))) ** 2
+    across = across[rng.random(len(across)) < nearness]
+    points = np.stack([across, rng.uniform(-15.0, 15.0, len(across)), np.full(len(across), -1.7)], axis=1)
+    points[:, 2] += tangent * np.sign(across) * np.maximum(np.abs(across) - 0.5 * way_m, 0.0)
+    return points + rng.normal(0.0, 0.01, points.shape)
+
+
+TREES = np.concatenate([
+    np.stack([x + 0.4 * np.cos(turn), y + 0.4 * np.sin(turn), rng.uniform(-3.0, 6.0, 2500)], axis=1)
+    for x in (-9.0, -3.0, 5.0, 11.0) for y in (-12.0, -5.0, 4.0, 9.0)
+    for rng in [np.random.default_rng([9, int(x + 20), int(y + 20)])] for turn in [rng.uniform(0.0, 2.0 * np.pi, 2500)]
+])  # fmt: skip
+"""Trunks, upright."""
+
 LEVEL = {
     "a level street": np.concatenate([GROUND, WALLS]),
     "a lean of 8 degrees": se3.apply(leaning(8.0), np.concatenate([GROUND, WALLS])),
     "a ramp of 10 %": slope(10.0),
     "a ramp of 15 %": slope(15.0),
+    "a hill that climbs by 25 %, with trees": np.concatenate([slope(25.0)[: len(GROUND)], TREES]),
+    "a steep ramp between walls": slope(30.0),
+    "a path across a hillside of 12 degrees": hillside(12.0, 3.0),
+    "a path across a hillside of 30 degrees": hillside(30.0, 3.0),
     "tilted panels over a level ground": np.concatenate([GROUND[::5], ROOFS]),
     "bushes": np.random.default_rng(3).uniform(-8, 8, (8000, 3)),
 }
