@@ -4,15 +4,22 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import replace
+from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
+from revisit.core.config import PipelineConfig
+from revisit.core.geometry import se3
+from revisit.core.geometry.se3 import pose_matrix, pose_row
 from revisit.core.verification import Authority, InitialPose, VerifiedLoop
 from revisit.service.engines.sql.loops import SqlLoops
 from revisit.service.failpoints import arm
+from revisit.service.features.graph.map_frames import LoopInMap, MapPose
 from revisit.service.features.loops.rows import LoopStanding
 from revisit.service.features.recognition import loop_recall_job
 from revisit.service.features.recognition.loop_recall_job import loops_to_recall
+from revisit.service.ports.repositories import LoopEnds
 from tests.support.fake_recogniser import FakeRecogniser
 from tests.support.fleet_in_service import fleet_in, slipped_fleet_in
 from tests.support.service_world import TENANT, memory_world, sqlite_world
@@ -245,6 +252,7 @@ async def test_loops_that_contradicted_each_other_across_a_slip_return_once_a_ve
     await town.optimised(geometry)
     assert len(by_others) > 5
     assert {(town.loop(one).state, town.loop(one).graph_state) for one in by_others} == {("ACCEPTED", "IN_MAP")}
+    assert not any("doubts" in town.loop(one).evidence for one in by_others)
     assert town.loop(alias[0]).state == "REJECTED"
     versions = town.read(lambda uow: uow.map_versions.find(TENANT, map_id=MAP))
     wide, narrow = (one.summary["odometry_faults"][0] for one in (versions[0], versions[-1]))
@@ -264,3 +272,48 @@ async def test_a_contradicted_loop_that_agrees_with_no_side_of_a_slip_stays_ambi
     await town.optimised(geometry)
     assert not geometry.asked
     assert {town.loop(one).state for one in wrong} == {"REJECTED"}
+
+
+async def test_a_loop_before_a_slip_that_agrees_with_the_odometry_behind_it_alone_stays_ambiguous():
+    """As places do that repeat each other at the length of the slip."""
+    town, geometry = Town(memory_world(optimise_after_loops=1), slipped_fleet_in), Geometry()
+    submaps = town.read(lambda uow: uow.submaps.find(TENANT, map_id=MAP, session_id="s1"))
+    T_odom = {one.number: pose_matrix(one.T_odom_submap) for one in submaps}
+    at_slip = next(pose_matrix(one.T_odom_submap) for one in submaps if one.ordinal == SLIP - 1)
+    behind = at_slip @ se3.from_yaw(0.0, (5.0, 0.0, 0.0)) @ se3.inverse(at_slip)
+    wrong = []
+    for loop in doubted(of_slipped(town, town.right, [SLIP - 4]), "PAIRWISE_INCONSISTENT"):
+        T, query, match = pose_matrix(loop.T_match_query), T_odom.get(loop.query_number), T_odom.get(loop.match_number)
+        if query is not None and match is None:
+            T = T @ se3.inverse(query) @ behind @ query
+            wrong.append(replace(loop, T_match_query=pose_row(T)))
+    town.rejected(*wrong, reason="AMBIGUOUS", graph_state=None)
+    await town.optimised(geometry)
+    assert wrong and not geometry.asked
+
+
+def test_a_page_of_recall_asks_for_no_more_rows_than_a_read_may(monkeypatch):
+    asked = []
+
+    class Frames:
+        def __init__(self, *_) -> None: ...
+
+        def loops(self, records):
+            asked.append(len({number for one in records for number in (one.query_number, one.match_number)}))
+            here = MapPose(pose_row(np.eye(4)), "0", 1)
+            return {one.number: LoopInMap(here, here) for one in records}
+
+    class Loops:
+        def rejected(self, *_, after, limit):
+            return [LoopEnds(n, 2 * n, "s", 2 * n + 1, "s") for n in range(after + 1, after + 1 + limit)]
+
+        def numbered(self, _, numbers):
+            asked.append(len(numbers))
+            return {}
+
+    world = memory_world()
+    record = SimpleNamespace(get=lambda *_: SimpleNamespace(map_version=1))
+    monkeypatch.setattr(loop_recall_job, "MapFrames", Frames)
+    monkeypatch.setattr(type(world.context.policy), "for_map", lambda *_: PipelineConfig())
+    loop_recall_job._page(SimpleNamespace(maps=record, loops=Loops()), world.context.policy, TENANT, MAP, 0)
+    assert len(asked) == 2 and max(asked) <= 1000

@@ -153,8 +153,12 @@ def revised_evidence(stored: Evidence, claim: LoopClaim, rules: VerificationConf
     measured = verdict_evidence(claim.verdict, rules)
     if claim.support is None:
         measured = {name: value for name, value in measured.items() if name not in _RULES}
-    kept = {name: value for name, value in stored.items() if name not in _JUDGED}
-    return {**kept, **measured, **_judgement(claim)}
+    return {**unjudged(stored), **measured, **_judgement(claim)}
+
+
+def unjudged(stored: Evidence) -> Evidence:
+    """The evidence of a stored loop without its former judgement."""
+    return {name: value for name, value in stored.items() if name not in _JUDGED}
 
 
 def evidence_without_waiting(stored: Evidence) -> Evidence:

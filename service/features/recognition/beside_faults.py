@@ -7,7 +7,7 @@ odometry from the submap up to which loops hold (docs/decisions/0095).
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -27,51 +27,59 @@ from revisit.service.ports.transactions import UnitOfWork
 _BY_OTHERS = frozenset({Doubt.PAIRWISE_INCONSISTENT, Doubt.SUPPORT_LOST})
 """Doubts that loops raise which lie across a broken step."""
 
-_MOST_READ = 2000
+_PAGE = 500
+"""Loops, whose submaps are as many as may be asked for at once."""
 
 
 @dataclass(frozen=True)
 class _Side:
-    """The submap at one end of a fault, and where the odometry frame of its session lies in the map as of it."""
+    """The submap at one end of a fault, and where the odometry frame of its session lies in the map as of it.
+
+    That holds between the submaps `after` and `before`, ordinals of the drive: beyond these lies another step.
+    """
 
     submap: SubmapRecord
     frame: str
     T_map_odom: Matrix4
+    after: float
+    before: float
+
+    def holds_at(self, end: SubmapRecord) -> bool:
+        """Whether no broken step lies between this submap and `end`, of the same drive."""
+        return _drive(end) == _drive(self.submap) and self.after < end.ordinal < self.before
 
 
 def loops_beside_faults(
-    uow: UnitOfWork, record: MapRecord, frames: MapFrames, rules: VerificationConfig
-) -> Iterator[tuple[LoopRecord, Matrix4]]:
-    """The ambiguous loops of a map that agree with one side of a mended step, and T_match_query (4, 4) by that side."""
+    uow: UnitOfWork, record: MapRecord, frames: MapFrames, rules: VerificationConfig, after: int
+) -> tuple[list[tuple[LoopRecord, Matrix4]], int | None]:
+    """The ambiguous loops of a map that agree with one side of a mended step, and T_match_query (4, 4) by that side.
+
+    Of a page of loops numbered above `after`; and where the next page begins, None after the last.
+    """
     sides = _sides(uow, record, frames)
-    loops = uow.loops.numbered(record.tenant, _ambiguous(uow, record, {one.submap.session_id for one in sides}))
-    numbers = {number for loop in loops.values() for number in (loop.query_number, loop.match_number)}
+    if not sides:
+        return [], None
+    page = uow.loops.rejected(record.tenant, record.map_id, ["AMBIGUOUS"], after=after, limit=_PAGE)
+    sessions = {one.submap.session_id for one in sides}
+    beside = [one.number for one in page if sessions & {one.query_session_id, one.match_session_id}]
+    loops = [one for one in uow.loops.numbered(record.tenant, beside).values() if _is_doubted_by_others(one)]
+    numbers = {number for loop in loops for number in (loop.query_number, loop.match_number)}
     submaps = uow.submaps.numbered(record.tenant, sorted(numbers))
-    for loop in loops.values():
+    found = []
+    for loop in loops:
         query, match = submaps.get(loop.query_number), submaps.get(loop.match_number)
-        if loop.T_match_query is None or query is None or match is None or not _is_doubted_by_others(loop):
+        if loop.T_match_query is None or query is None or match is None:
             continue
         T_match_query = _agreeing(pose_matrix(loop.T_match_query), query, match, sides, frames, rules)
         if T_match_query is not None:
-            yield loop, T_match_query
+            found.append((loop, T_match_query))
+    return found, page[-1].number if len(page) == _PAGE else None
 
 
 def _is_doubted_by_others(loop: LoopRecord) -> bool:
     """Whether nothing but other loops speaks against an ambiguous one."""
     doubts = loop.evidence.get("doubts", {}).keys()
     return bool(doubts) and doubts <= _BY_OTHERS
-
-
-def _ambiguous(uow: UnitOfWork, record: MapRecord, sessions: set[str]) -> list[int]:
-    """The numbers of the ambiguous loops with an end in one of the sessions, at most `_MOST_READ`."""
-    found, after = list[int](), 0
-    while sessions and len(found) < _MOST_READ:
-        page = uow.loops.rejected(record.tenant, record.map_id, ["AMBIGUOUS"], after=after, limit=_MOST_READ)
-        found += [one.number for one in page if sessions & {one.query_session_id, one.match_session_id}]
-        if len(page) < _MOST_READ:
-            break
-        after = page[-1].number
-    return found[:_MOST_READ]
 
 
 def _sides(uow: UnitOfWork, record: MapRecord, frames: MapFrames) -> list[_Side]:
@@ -81,12 +89,22 @@ def _sides(uow: UnitOfWork, record: MapRecord, frames: MapFrames) -> list[_Side]
     broken = [fault for fault in faults if FaultKind(fault["kind"]).is_at_once]
     numbers = [fault[end] for fault in broken for end in ("first_number", "last_number")]
     known = uow.submaps.numbered(record.tenant, sorted(set(numbers))) if numbers else {}
+    ends = [(known.get(fault["first_number"]), known.get(fault["last_number"])) for fault in broken]
+    steps = [(first, last) for first, last in ends if first is not None and last is not None]
     sides = []
     for submap in known.values():
         if (pose := frames.submap(submap)) is not None:
             T_map_odom = pose_matrix(pose.T_map) @ se3.inverse(pose_matrix(submap.T_odom_submap))
-            sides.append(_Side(submap, pose.frame, T_map_odom))
+            sides.append(_Side(submap, pose.frame, T_map_odom, *_until_next(submap, steps)))
     return sides
+
+
+def _until_next(submap: SubmapRecord, steps: list[tuple[SubmapRecord, SubmapRecord]]) -> tuple[float, float]:
+    """The ordinals of the far ends of the steps before and behind a submap of the same drive, infinite without one."""
+    of_drive = [step for step in steps if _drive(step[0]) == _drive(submap)]
+    after = max((first.ordinal for first, last in of_drive if last.ordinal <= submap.ordinal), default=-math.inf)
+    before = min((last.ordinal for first, last in of_drive if first.ordinal >= submap.ordinal), default=math.inf)
+    return after, before
 
 
 def _agreeing(
@@ -103,7 +121,7 @@ def _agreeing(
         for end, other in ((query, match), (match, query)):
             way_m = _apart_m(end, side.submap)
             known = frames.submap(other)
-            if _drive(end) != _drive(side.submap) or way_m > rules.support_reach or known is None:
+            if not side.holds_at(end) or way_m > rules.support_reach or known is None:
                 continue
             T_map_end, T_map_other = side.T_map_odom @ pose_matrix(end.T_odom_submap), pose_matrix(known.T_map)
             T_other_end = se3.inverse(T_map_other) @ T_map_end

@@ -8,9 +8,10 @@ from __future__ import annotations
 
 import heapq
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import islice
 from typing import Any
 
 import numpy as np
@@ -29,7 +30,7 @@ from revisit.service.features.graph.map_frames import LoopInMap, MapFrames
 from revisit.service.features.graph.posting import optimise_soon
 from revisit.service.features.index.comparison import Comparison
 from revisit.service.features.index.place_memory import RecalledPlace
-from revisit.service.features.loops.claims import rules_of, verdict_evidence
+from revisit.service.features.loops.claims import rules_of, unjudged, verdict_evidence
 from revisit.service.features.loops.rows import Change, LoopStanding, change_loop, decided_by_person
 from revisit.service.features.operations.progress import OperationCancelled, Progress
 from revisit.service.features.recognition.beside_faults import loops_beside_faults
@@ -53,7 +54,8 @@ SAME_M = 0.5
 SAME_RAD = np.radians(2.0)
 """A pair is tested again once its relative pose has moved by so much."""
 
-_PAGE = 2000
+_PAGE = 500
+"""Loops, whose submaps are as many as may be asked for at once."""
 
 _ROUNDING_M = 1e-6
 
@@ -75,6 +77,10 @@ class _Found:
     map: MapRecord
     record: LoopRecord
     T_match_query: Matrix4
+
+
+_Page = tuple[list[_Found], int | None]
+"""Loops of a page, and where the next page begins; None after the last."""
 
 
 class LoopRecallJob:
@@ -122,38 +128,36 @@ def loops_to_recall(
 
     Read page by page, so that a large map holds up nobody.
     """
-    beside = transactions.read(partial(_beside_faults, policy=policy, tenant=tenant, map_id=map_id)).result()
-    found: Iterable[_Found] = _found(transactions, policy, tenant, map_id, progress)
-    best = beside + heapq.nsmallest(
-        2 * MOST_RECALLED, found, key=lambda one: (-one.record.similarity, -one.record.score, one.record.number)
-    )
+    beside = _found(transactions, partial(_beside_faults, policy=policy, tenant=tenant, map_id=map_id), progress)
+    near = _found(transactions, partial(_page, policy=policy, tenant=tenant, map_id=map_id), progress)
+    best = [
+        *islice(beside, 2 * MOST_RECALLED),
+        *heapq.nsmallest(
+            2 * MOST_RECALLED, near, key=lambda one: (-one.record.similarity, -one.record.score, one.record.number)
+        ),
+    ]
     return transactions.read(partial(_undecided, tenant=tenant, best=best)).result()[:MOST_RECALLED]
 
 
-def _beside_faults(uow: UnitOfWork, policy: Policy, tenant: TenantId, map_id: str) -> list[_Found]:
-    """Ambiguous loops beside faults of odometry that the version in force has mended."""
-    record = uow.maps.get(tenant, map_id)
-    if record is None or not record.map_version:
-        return []
-    frames, rules = MapFrames(uow, tenant, map_id), policy.for_map(record).verification
-    loops = loops_beside_faults(uow, record, frames, rules)
-    return [_Found(record, loop, T) for loop, T in loops if not _was_tested(loop, T)]
-
-
-def _found(
-    transactions: Transactions, policy: Policy, tenant: TenantId, map_id: str, progress: Progress
-) -> Iterator[_Found]:
+def _found(transactions: Transactions, page: Callable[..., _Page], progress: Progress) -> Iterator[_Found]:
     after: int | None = 0
     while after is not None:
         progress("READ_LOOPS")
-        read = partial(_page, policy=policy, tenant=tenant, map_id=map_id, after=after)
-        page, after = transactions.read(read).result()
-        yield from page
+        found, after = transactions.read(partial(page, after=after)).result()
+        yield from found
 
 
-def _page(
-    uow: UnitOfWork, policy: Policy, tenant: TenantId, map_id: str, after: int
-) -> tuple[list[_Found], int | None]:
+def _beside_faults(uow: UnitOfWork, policy: Policy, tenant: TenantId, map_id: str, after: int) -> _Page:
+    """Ambiguous loops beside faults of odometry that the version in force has mended."""
+    record = uow.maps.get(tenant, map_id)
+    if record is None or not record.map_version:
+        return [], None
+    frames, rules = MapFrames(uow, tenant, map_id), policy.for_map(record).verification
+    loops, following = loops_beside_faults(uow, record, frames, rules, after)
+    return [_Found(record, loop, T) for loop, T in loops if not _was_tested(loop, T)], following
+
+
+def _page(uow: UnitOfWork, policy: Policy, tenant: TenantId, map_id: str, after: int) -> _Page:
     """Those of a page of rejected loops that are to be tested again; where the next begins, None after the last.
 
     Whole rows are read of loops alone that the map puts near each other: few, of many that are rejected.
@@ -265,7 +269,7 @@ class RecallCommit:
         fields: dict[str, Any] = {"evidence": evidence}
         if isinstance(verdict, VerifiedLoop):
             fields = {
-                "evidence": {**evidence, **found, "model_version": one.query.model_version},
+                "evidence": {**unjudged(evidence), **found, "model_version": one.query.model_version},
                 "state": LoopState.ACCEPTED.value,
                 "reason": None,
                 "score": float(verdict.measurement.score),
