@@ -45,6 +45,7 @@ from tests.support.stepped_clock import PassingClock
 
 POSTED = SessionKey("town", "posted")
 STREAMED = SessionKey("town", "streamed")
+STATED = SessionKey("town", "stated")
 SCRAPPED = SessionKey("town", "scrapped")
 PLACES = {"a": 1, "b": 2, "c": 1, "d": 3}
 """Posted submaps and the places they show: c closes a loop with a."""
@@ -82,7 +83,7 @@ async def drive(world: World, history: History) -> None:
     await _collect(world)
     for session in (POSTED, STREAMED, SCRAPPED):
         await open_session(world, session)
-    await world.use_cases.sessions.create(TENANT, CreateSession(POSTED.map_id, "stated", drift="WHEEL"))
+    await world.use_cases.sessions.create(TENANT, CreateSession(STATED.map_id, STATED.session_id, drift="WHEEL"))
     for submap_id, place in PLACES.items():
         await _post(world, history, submap_id, place, 300)
     await _post(world, history, DEGENERATE, 4, CANNOT_BE_DESCRIBED)

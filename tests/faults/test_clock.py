@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.faults.drive import ANNEX, POSTED, SCANS, STREAMED, drive
+from tests.faults.drive import ANNEX, POSTED, SCANS, STATED, STREAMED, drive
 from tests.faults.history import History
 from tests.faults.survey import survey
 from tests.support.service_world import TENANT, memory_world, open_session, sqlite_world, submap
@@ -57,7 +57,12 @@ def test_a_drive_under_a_jumping_wall_clock_stores_what_it_stores_under_a_steady
     found = survey(folder / "home")
     assert found.against(history) == []
     assert found.states == {"DESCRIBED": 8, "FAILED": 1}
-    assert found.committed == {POSTED.session_id: 0, STREAMED.session_id: SCANS, ANNEX.session_id: 0}
+    assert found.committed == {
+        POSTED.session_id: 0,
+        STREAMED.session_id: SCANS,
+        STATED.session_id: 0,
+        ANNEX.session_id: 0,
+    }
     # In the order in which they came, whatever time their labels tell.
     assert [record.submap_id for record in listed][:4] == ["a", "c", "d", "degenerate"]
 
