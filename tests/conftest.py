@@ -6,6 +6,7 @@ import gc
 import inspect
 import os
 from collections.abc import Iterator
+from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,7 @@ from typing import Any
 import httpx
 import pytest
 import structlog
+import typer.testing
 from hypothesis import HealthCheck, settings
 
 from tests.support.patience import PATIENCE_S
@@ -27,6 +29,9 @@ _timeout = inspect.signature(httpx.Client).parameters["timeout"].default
 """What every call of httpx that names no limit shares."""
 _timeout.connect = _timeout.read = _timeout.write = _timeout.pool = PATIENCE_S
 
+
+# A test that runs a command in this process would make all commands anew for it.
+typer.testing._get_command = cache(typer.testing._get_command)
 
 TESTS = Path(__file__).parent
 

@@ -38,15 +38,18 @@ Scalar = str | int | None
 
 @dataclass
 class Rows:
-    """The rows of one table by number, in the order of these, and the last number given out, in all and by map."""
+    """The rows of one table by number, in the order of these, with the numbers of their keys where they have any; the
+    last number given out, in all and by map.
+    """
 
     by_number: dict[int, Any] = field(default_factory=dict)
+    numbers: dict[Any, int] = field(default_factory=dict)
     last: int = 0
     last_of: dict[Any, int] = field(default_factory=dict)
 
     def copy(self) -> Rows:
         """An independent copy; records are immutable."""
-        return Rows(dict(self.by_number), self.last, dict(self.last_of))
+        return Rows(dict(self.by_number), dict(self.numbers), self.last, dict(self.last_of))
 
     def next_of(self, key: Any) -> int:
         """The next number within a map."""
@@ -93,11 +96,12 @@ class MemoryRepository(Generic[R]):
 
     def add(self, record: R) -> R:
         """See `Repository`."""
-        if self._with_key(self._key_of(record)):
+        if self._key_of(record) in self._rows.numbers:
             raise AlreadyExists
         self._rows.last += 1
         added: R = dataclasses.replace(record, number=self._rows.last)  # type: ignore[type-var]  # R is a record
         self._rows.by_number[self._rows.last] = added
+        self._rows.numbers[self._key_of(added)] = self._rows.last
         if self._on_change is not None:
             self._on_change(None, added)
         return added
@@ -109,7 +113,9 @@ class MemoryRepository(Generic[R]):
 
     def get(self, tenant: TenantId, *key: str | int, hold: bool = False) -> R | None:
         """See `Repository`."""
-        return next((row for row in self._with_key((tenant, *key)) if self._is_seen(row)), None)
+        number = self._rows.numbers.get((tenant, *key))
+        row = None if number is None else self._rows.by_number[number]
+        return row if row is not None and self._is_seen(row) else None
 
     def find(self, tenant: TenantId, *, after: int = 0, limit: int | None = None, **equals: Scalar) -> list[R]:
         """See `Repository`."""
@@ -176,7 +182,7 @@ class MemoryRepository(Generic[R]):
 
     def _deleted(self, numbers: Sequence[int]) -> int:
         for number in numbers:
-            del self._rows.by_number[number]
+            del self._rows.numbers[self._key_of(self._rows.by_number.pop(number))]
         return len(numbers)
 
     def _matching(self, tenant: TenantId, equals: dict[str, Scalar]) -> list[Any]:
@@ -185,10 +191,6 @@ class MemoryRepository(Generic[R]):
     def _having(self, tenant: TenantId, equals: dict[str, Scalar]) -> list[Any]:
         """Rows that have what is asked, seen or not."""
         return _equal(self._rows.by_number.values(), {"tenant": tenant, **equals})
-
-    def _with_key(self, key: tuple[Any, ...]) -> list[Any]:
-        """Rows of this key, seen or not."""
-        return [row for row in self._rows.by_number.values() if self._key_of(row) == key]
 
     def _is_seen(self, row: Any) -> bool:
         return self._doomed is None or not self._doomed.hides(row)
@@ -357,9 +359,7 @@ class MemoryJobs(MemoryRepository[JobRecord]):
         """See `JobRepository`."""
         ended = [(job.finished_at_ns, job.number) for job in self._all() if job.priority == 0 and job.finished_at_ns]
         old = [number for finished_at_ns, number in sorted(ended) if finished_at_ns < before_ns][:limit]
-        for number in old:
-            del self._rows.by_number[number]
-        return len(old)
+        return self._deleted(old)
 
     def waiting(self) -> Waiting:
         """See `JobRepository`."""
