@@ -184,7 +184,10 @@ class LoopClaim:
     @property
     def height_m(self) -> float:
         """The standard deviation of its height, metres; 0 where nobody measured it."""
-        variance = 0.0 if self.measurement is None else float(np.nan_to_num(self.measurement.covariance[2, 2]))
+        if self.measurement is None:
+            return 0.0
+        up = self.match.T_odom_submap[2, :3]  # in the frame of the match, which the sensor may tilt
+        variance = float(np.nan_to_num(up @ self.measurement.covariance[:3, :3] @ up))
         return float(np.sqrt(max(variance, 0.0)))
 
     @property

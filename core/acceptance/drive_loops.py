@@ -67,7 +67,8 @@ class DriveLoops:
         for other in sorted(against, key=lambda one: float(self._way_m[row, one])):
             pose = T_match_odom @ self._frames[other][0] @ T_odom_query
             allowed_m, rise_m = float(self._allowed_m[row, other]), float(self._allowed_rise_m[row, other])
-            if all(_differ(pose, one, allowed_m, min(rise_m, at_m)) for one, at_m in found):
+            up = self._T_odom_match[row, 2, :3]
+            if all(_differ(pose, one, up, allowed_m, min(rise_m, at_m)) for one, at_m in found):
                 found.append((pose, rise_m))
         return [pose for pose, _ in found]
 
@@ -211,9 +212,10 @@ def _ahead_m(submap: Station, other: Station) -> float:
     return distance if other.ordinal > submap.ordinal else -distance
 
 
-def _differ(one: se3.Matrix4, other: se3.Matrix4, allowed_m: float, allowed_rise_m: float) -> bool:
+def _differ(one: se3.Matrix4, other: se3.Matrix4, up: Array, allowed_m: float, allowed_rise_m: float) -> bool:
+    """Whether two poses (4, 4) in one frame, of which `up` (3,) is the vertical, are two."""
     apart = one[:3, 3] - other[:3, 3]
-    moved = float(np.linalg.norm(apart)) > allowed_m or abs(float(apart[2])) > allowed_rise_m
+    moved = float(np.linalg.norm(apart)) > allowed_m or abs(float(up @ apart)) > allowed_rise_m
     return moved or se3.rotation_angle(se3.inverse(one) @ other) > _CONTRADICTING_TURN
 
 

@@ -165,6 +165,25 @@ def test_a_height_that_is_not_sure_contradicts_none() -> None:
     assert not DriveLoops(unsure, STRIDE_M, CONFIG).contradicted().any()
 
 
+def on_its_side(claim: LoopClaim) -> LoopClaim:
+    """The same loop between drives whose sensor lies on its side, in an odometry that knows that."""
+    T_body_sensor = se3.exp([0.0, 0.0, 0.0, np.pi / 2.0, 0.0, 0.0])
+    stations = (replace(one, T_odom_submap=one.T_odom_submap @ T_body_sensor) for one in (claim.query, claim.match))
+    adjoint = se3.adjoint(se3.inverse(T_body_sensor))
+    measured = claim.measurement
+    pose = se3.inverse(T_body_sensor) @ measured.T_match_query @ T_body_sensor
+    return loop(*stations, pose, adjoint @ measured.covariance @ adjoint.T)
+
+
+def test_heights_are_those_of_the_odometry_however_the_sensor_is_mounted() -> None:
+    loops = loops_of_turns(ramp(1, 3.2), ramp(3, 3.2))
+    level, turned = (DriveLoops(some, STRIDE_M, CONFIG) for some in (loops, [on_its_side(one) for one in loops]))
+    assert len(turned.other_poses(0)) == len(level.other_poses(0)) == 2
+    unsure = [on_its_side(one) for one in loops_of_turns(ramp(1, 3.2), ramp(2, 3.2), height_m=0.5)]
+    np.testing.assert_allclose([one.height_m for one in unsure], 0.5)
+    assert not DriveLoops(unsure, STRIDE_M, CONFIG).contradicted().any()
+
+
 def test_too_few_loops_tell_nothing_of_heights() -> None:
     loops = loops_of_turns(ramp(1, 3.2)[:1], ramp(3, 3.2))
     assert len(loops) == 3 and not DriveLoops(loops, STRIDE_M, CONFIG).contradicted().any()
