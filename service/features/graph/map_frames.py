@@ -151,7 +151,9 @@ class MapFrames:
             place = None if session is None else session.submaps.place_of(number)
             if session is None or place is None:
                 return None
-            variance += float(np.linalg.eigvalsh(session.submaps.covariances[place, :2, :2].astype(np.float64))[-1])
+            level = session.submaps.T_map_submap[place, :2, :3]  # rows that lead to x and y of the map
+            across = level @ session.submaps.covariances[place, :3, :3].astype(np.float64) @ level.T
+            variance += float(np.linalg.eigvalsh(across)[-1])
         return float(np.sqrt(max(variance, 0.0)))
 
     def _poses(self, sessions: Mapping[int, str]) -> dict[int, MapPose]:

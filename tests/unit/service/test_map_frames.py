@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -68,3 +69,16 @@ def test_sessions_least_lately_asked_for_go_first(store, monkeypatch):
     for number, name in ((0, "a"), (10, "b"), (0, "a"), (20, "c"), (0, "a"), (10, "b")):
         positions_m(store, kept, {number: name})
     assert [session.numbers[0] for session in read] == [0, 10, 20, 10]
+
+
+def test_what_the_map_knows_of_a_loop_is_told_across_the_ground_however_the_sensor_is_mounted(store):
+    """Of a sensor on its side, whose y is up: 3 m of height do not count."""
+    store.write(lambda uow: uow.maps.add(replace(a_map(), map_version=1))).result()
+    on_its_side = se3.exp([0.0, 0.0, 0.0, np.pi / 2.0, 0.0, 0.0])
+    covariances = np.tile(np.diag([0.01, 9.0, 0.04, 0.0, 0.0, 0.0]).astype(np.float32), (2, 1, 1))
+    packed = PackedSubmaps(np.array([1, 2]), np.tile(on_its_side, (2, 1, 1)), covariances).packed()
+    row = SessionPosesRecord(TENANT, "town", 1, "monday", 1, "frame-1", AT_HOME, packed, "hash", 1)
+    store.write(lambda uow: uow.session_poses.add(row)).result()
+    loop = SimpleNamespace(query_session_id="monday", query_number=2, match_session_id="monday", match_number=1)
+    spread_m = store.read_here(lambda uow: MapFrames(uow, TENANT, "town").spread_m(loop))
+    assert spread_m == pytest.approx(np.sqrt(2 * 0.04))
