@@ -251,7 +251,7 @@ def _event(
     stated = se3_rows.inverse(track.T_odom_submap[first : first + 1]) @ track.T_odom_submap[first : last + 1]
     T_first_last = se3.inverse(T_map_submap[first]) @ T_map_submap[last]
     tangent = se3.log(se3.inverse(stated[-1]) @ T_first_last)
-    kind, amount = _kind(stated, T_first_last)
+    kind, amount = _kind(stated, T_first_last, track.T_odom_submap[first, 2, :3])
     count = last - first
     variances = (LOOSER - 1.0) * np.diagonal(track.step_covariances[first:last], axis1=1, axis2=2)
     variances = variances + np.repeat([tangent[:3] @ tangent[:3], tangent[3:] @ tangent[3:]], 3) / count
@@ -272,8 +272,10 @@ def _spread(stated: Array64, T_first_last: se3.Matrix4) -> Array64:
     return np.asarray(se3_rows.inverse(poses[:-1]) @ poses[1:])
 
 
-def _kind(stated: Array64, T_first_last: se3.Matrix4) -> tuple[FaultKind, float]:
-    """Kind and size of a fault, by the stated way (n, 4, 4) and the true motion along it.
+def _kind(stated: Array64, T_first_last: se3.Matrix4, up: Array64) -> tuple[FaultKind, float]:
+    """Kind and size of a fault, by the stated way (n, 4, 4), the true motion along it, and the vertical `up` (3,).
+
+    All of them in the frame of the first submap, which the sensor may tilt.
 
     It is a turn where that is more than the shift at the pose of the way that is shifted least: a turn shifts all but
     the pose that it happened at.
@@ -284,7 +286,7 @@ def _kind(stated: Array64, T_first_last: se3.Matrix4) -> tuple[FaultKind, float]
     shift, turn = (moved - stated)[least, :3, 3], se3.log(T_true_stated)[3:]
     size = float(np.linalg.norm(turn))
     if size > LEAST_RAD and LEVER_M * size > np.linalg.norm(shift):
-        upright = abs(turn[2]) >= 0.7 * size
+        upright = abs(float(up @ turn)) >= 0.7 * size
         return (FaultKind.TURN if upright else FaultKind.TILT), size
     way = T_first_last[:3, 3]
     length = float(np.linalg.norm(way))

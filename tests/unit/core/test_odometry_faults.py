@@ -107,6 +107,22 @@ def test_a_fault_of_odometry_is_named_and_costs_no_loop_and_no_metre(name: str) 
     assert (fault.first, fault.last) == ((0, SUBMAPS - 1) if steady else (AT - 1, AT))
 
 
+@pytest.mark.parametrize("name", ["a turn of 20 degrees", "a tilt of 6 degrees"])
+def test_a_turn_is_one_about_the_vertical_however_the_sensor_is_mounted(name: str) -> None:
+    """Here it lies on its side; the poses are its own."""
+    kind, amount, wrong = FAULTS[name]
+    poses, T_body_sensor = winding_way(), se3.exp([0.0, 0.0, 0.0, np.pi / 2.0, 0.0, 0.0])
+    drives = odometry("a", poses, 1), odometry("b", poses, 2, wrong)
+    tracks = [Trajectory.from_odometry(one.session, one.T_odom_submap @ T_body_sensor) for one in drives]
+    turned = [
+        replace(one, T_match_query=se3.inverse(T_body_sensor) @ one.T_match_query @ T_body_sensor)
+        for one in loops(poses)
+    ]
+    (fault,) = optimise(PoseGraph.of(tracks, turned)).faults
+    assert (fault.session, fault.kind) == ("b", kind)
+    assert fault.amount == pytest.approx(amount, rel=0.1)
+
+
 def test_good_odometry_has_no_fault() -> None:
     poses = winding_way()
     graph = PoseGraph.of([odometry("a", poses, 1), odometry("b", poses, 2)], loops(poses))
