@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from revisit.core.geometry import se3_rows
 from revisit.core.geometry.path import travelled_m
+from revisit.core.geometry.upright import turned_up
 from revisit.core.pose_graph.consistency import oriented
 from revisit.core.pose_graph.faults import FaultKind, Mending, OdometryFault, steps_of
 from revisit.core.pose_graph.graph import LoopEdge, PoseGraph, Trajectory
@@ -38,6 +39,9 @@ LEAST_PAIRS, LEAST_PLACES = 20, 3
 
 STEADY = 0.5
 """Of the median: so much the quartiles of all places reach, too, where a fault goes on throughout."""
+
+_LEVEL_COSINE = float(np.cos(np.radians(15.0)))
+"""Axes that lean less are level, on a slope perhaps."""
 
 
 @dataclass(frozen=True)
@@ -111,12 +115,14 @@ def _pair_rates(loops: Sequence[LoopEdge], first: Trajectory, second: Trajectory
     one, other = np.nonzero((apart >= NEAREST) & (apart <= FARTHEST))
     stated = se3_rows.inverse(second.T_odom_submap[ends[one, 1]]) @ second.T_odom_submap[ends[other, 1]]
     seen = se3_rows.inverse(measured[one]) @ measured[other]
+    turn = _level_turn(second)
+    stated, seen = turn @ stated @ turn.T, turn @ seen @ turn.T
     way_m = travelled_m(second.T_odom_submap[:, :3, 3])
     way_m = np.maximum(way_m[ends[other, 1]] - way_m[ends[one, 1]], 1e-9)
     lengths = (np.linalg.norm(motion[:, :3, 3], axis=1) for motion in (seen, stated))
     length, of_odometry = lengths
-    turn = stated[:, :3, :3].transpose(0, 2, 1) @ seen[:, :3, :3]
-    yaw = np.arctan2(turn[:, 1, 0] - turn[:, 0, 1], turn[:, 0, 0] + turn[:, 1, 1])
+    turned = stated[:, :3, :3].transpose(0, 2, 1) @ seen[:, :3, :3]
+    yaw = np.arctan2(turned[:, 1, 0] - turned[:, 0, 1], turned[:, 0, 0] + turned[:, 1, 1])
     rates = np.stack(
         [length / np.maximum(of_odometry, 1e-9) - 1.0, (seen[:, 2, 3] - stated[:, 2, 3]) / way_m, yaw / way_m], axis=1
     )
@@ -130,11 +136,21 @@ def _mendings(track: Trajectory, found: _Rates, believed: Array64) -> list[Mendi
     kinds = np.flatnonzero(rates)
     if not len(kinds):
         return []
-    motions = _without(steps_of(track), rates)
+    turn = _level_turn(track)
+    motions = turn.T @ _without(turn @ steps_of(track) @ turn.T, rates) @ turn
     last, nothing = len(track) - 1, np.zeros((len(track) - 1, 6))
     amounts = zip(kinds, rates[kinds], found.sigma[kinds], strict=True)
     faults = (OdometryFault(track.session, KINDS[k], 0, last, float(r), float(s), found.loops) for k, r, s in amounts)
     return [Mending(one, motions, nothing) for one in faults]
+
+
+def _level_turn(track: Trajectory) -> Array64:
+    """The turn (4, 4) from the axes of a session's submaps to level ones, where a sensor is not mounted level.
+
+    By the first submap: the vertical of odometry may drift later.
+    """
+    up = track.T_odom_submap[0, 2, :3]
+    return np.eye(4) if up[2] >= _LEVEL_COSINE else turned_up(up)
 
 
 def _without(motions: Array64, rates: Array64) -> Array64:
