@@ -49,7 +49,7 @@ class RestTransport:
 
     def __init__(self, base_url: str, retry: RetryPolicy, credentials: Credentials = Credentials()) -> None:
         timeout = httpx.Timeout(ANSWER_TIMEOUT_S, connect=CONNECT_TIMEOUT_S)
-        verify = credentials.ssl_context() if base_url.startswith("https:") else NO_AUTHORITIES
+        verify = credentials.ssl_context() if httpx.URL(base_url).scheme == "https" else NO_AUTHORITIES
         self._http = HttpCalls(base_url, timeout, credentials.authorization(), verify)
         self._base_url = base_url
         self._retry = retry

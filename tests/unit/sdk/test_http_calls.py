@@ -91,3 +91,11 @@ def test_a_client_of_an_address_without_tls_reads_no_authorities(address, monkey
     monkeypatch.setattr(ssl, "create_default_context", lambda *_, **given: read.append(given))
     RestTransport(address, RetryPolicy()).close()
     assert read == []
+
+
+@pytest.mark.parametrize("address", ["https://revisit.example.com", "HTTPS://revisit.example.com"])
+def test_a_client_of_an_address_with_tls_reads_the_authorities_however_the_address_is_written(address, monkeypatch):
+    read, made = [], ssl.create_default_context
+    monkeypatch.setattr(ssl, "create_default_context", lambda *_, **given: read.append(given) or made())
+    RestTransport(address, RetryPolicy()).close()
+    assert len(read) == 1
