@@ -49,6 +49,20 @@ class ChangeFinding:
             unchanged(partial(self._portion, lease, progress), message)
         except OperationCancelled:
             self._context.complete(lease, CANCELLED)
+        except NotFound as error:
+            if not self._context.transactions.write(partial(self._moved_on, lease=lease, error=error)).result():
+                raise
+
+    def _moved_on(self, uow: UnitOfWork, lease: Lease, error: NotFound) -> bool:
+        """Fail the job of a version that left while it waited: drives of which nothing was told are compared in the
+        one in force. False where the version is there.
+        """
+        tenant, map_id, version = lease.job.tenant, lease.job.payload["map_id"], lease.job.payload["version"]
+        if uow.map_versions.get(tenant, map_id, version) is not None:
+            return False
+        uow.queue.fail(lease, error.code, error.message, retry=False)
+        find_changes_soon(uow, tenant, map_id, self._context.policy, self._context.clock.wall_ns())
+        return True
 
     def _portion(self, lease: Lease, progress: Progress) -> bool:
         """Whether the job has ended by a portion; not where submaps have changed meanwhile."""

@@ -22,6 +22,8 @@ from revisit.service.domain.states import (
     WebhookState,
 )
 from revisit.service.features.graph.map_jobs import LAST
+from revisit.service.features.graph.posting import optimise_soon
+from revisit.service.features.graph.session_poses import PackedSubmaps
 from revisit.service.ports.transactions import UnitOfWork
 
 COUNTED = (ChangeKind.APPEARED, ChangeKind.VANISHED, ChangeKind.MOVED, ChangeKind.BACK)
@@ -61,10 +63,14 @@ class DriveChanges:
 def find_changes_soon(uow: UnitOfWork, tenant: TenantId, map_id: str, policy: Policy, now_ns: int) -> None:
     """Let the drives of a map be compared where one has ended of whose changes a webhook wants to be told.
 
-    One such job of a map at a time, after all other work of the tenant: versions come while it runs.
+    One such job of a map at a time, after all other work of the tenant: versions come while it runs. Where the version
+    in force lacks the end of such a drive, the map is optimised with it.
     """
     record = uow.maps.get(tenant, map_id)
-    if record is None or not untold_drives(uow, record) or _is_comparing(uow, tenant, map_id):
+    joined = [] if record is None else _joined(uow, record, record.map_version)
+    if not all(drive.is_whole for drive in joined):
+        optimise_soon(uow, tenant, map_id, policy, now_ns, decided=True)
+    if record is None or not any(drive.is_described for drive in joined) or _is_comparing(uow, tenant, map_id):
         return
     payload = {"map_id": map_id, "version": record.map_version}
     subject = f"maps/{map_id}/versions/{record.map_version}"
@@ -77,42 +83,65 @@ def _is_comparing(uow: UnitOfWork, tenant: TenantId, map_id: str) -> bool:
     return any(job.payload["map_id"] == map_id for job in jobs)
 
 
-def untold_drives(uow: UnitOfWork, record: MapRecord, version: int | None = None) -> list[SessionRecord]:
-    """The drives of whose changes a webhook wants to be told, and was not: ended since it is there, described, and in
-    one frame with others in a version, None: that in force.
+def untold_drives(uow: UnitOfWork, record: MapRecord, version: int) -> list[SessionRecord]:
+    """The drives of whose changes a webhook wants to be told, and was not: ended since it is there, and with all their
+    submaps, described, in one frame with others in a version.
     """
+    return [drive.session for drive in _joined(uow, record, version) if drive.is_described]
+
+
+@dataclass(frozen=True)
+class _Joined:
+    """A drive in one frame with others in a version: whether that has all of its submaps, and these are described."""
+
+    session: SessionRecord
+    is_whole: bool
+    is_described: bool
+
+
+def _joined(uow: UnitOfWork, record: MapRecord, version: int) -> list[_Joined]:
+    """The drives that a version joins with others and of whose changes a webhook wants to be told, and was not."""
     since_ns = _asked_since_ns(uow, record.tenant, record.map_id)
-    if since_ns is None:
-        return []
-    asked = record.map_version if version is None else version
-    return [one for one in _ended(uow, record, since_ns) if _is_compared(uow, one, asked)]
+    ended = [] if since_ns is None else _ended(uow, record, since_ns)
+    found = (_joined_drive(uow, one, version) for one in ended)
+    return [drive for drive in found if drive is not None]
+
+
+def _joined_drive(uow: UnitOfWork, session: SessionRecord, version: int) -> _Joined | None:
+    """A drive where the version joins it with others."""
+    tenant, map_id, session_id = session.tenant, session.map_id, session.session_id
+    rows = uow.session_poses.find(tenant, map_id=map_id, version=version, session_id=session_id)
+    count = uow.session_poses.count
+    if not any(count(tenant, map_id=map_id, version=version, frame=row.frame) > 1 for row in rows):
+        return None
+    known = {int(number) for row in rows for number in PackedSubmaps.of(row.submaps).numbers}
+    is_whole = uow.submaps.distinct(tenant, "number", map_id=map_id, session_id=session_id) <= known
+    waiting = uow.submaps.count(tenant, map_id=map_id, session_id=session_id, state=SubmapState.QUEUED.value)
+    return _Joined(session, is_whole, is_whole and not waiting)
 
 
 def _ended(uow: UnitOfWork, record: MapRecord, since_ns: int) -> list[SessionRecord]:
-    """The drives that have ended since then and of which nothing was told; earlier ones are noted as told."""
+    """The drives that have ended since then and of which nothing was told; those are noted as told that ended before
+    any webhook asked: one that is suspended is told of the others once it is resumed.
+    """
     state = SessionState.FINISHED.value
     untold = uow.sessions.find(record.tenant, map_id=record.map_id, state=state, changes_told=None)
-    before = [one for one in untold if (one.finished_at_ns or 0) < since_ns]
+    ever_ns = _asked_since_ns(uow, record.tenant, record.map_id, suspended=True) or since_ns
+    before = [one for one in untold if (one.finished_at_ns or 0) < ever_ns]
     uow.sessions.revise(before, changes_told=DriveChanges(0).stored)
     return [one for one in untold if (one.finished_at_ns or 0) >= since_ns]
 
 
-def _asked_since_ns(uow: UnitOfWork, tenant: TenantId, map_id: str) -> int | None:
-    """Since when a webhook asks for changes of a map; None where none does."""
+def _asked_since_ns(uow: UnitOfWork, tenant: TenantId, map_id: str, *, suspended: bool = False) -> int | None:
+    """Since when a webhook asks for changes of a map, of those that are `suspended` too; None where none does."""
     asking = (
         one.created_at_ns
-        for one in uow.webhooks.find(tenant, state=WebhookState.ENABLED.value)
-        if EventKind.MAP_CHANGED in one.kinds and one.map_id in (None, map_id)
+        for one in uow.webhooks.find(tenant)
+        if EventKind.MAP_CHANGED in one.kinds
+        and one.map_id in (None, map_id)
+        and (suspended or one.state == WebhookState.ENABLED)
     )
     return min(asking, default=None)
-
-
-def _is_compared(uow: UnitOfWork, session: SessionRecord, version: int) -> bool:
-    own: dict[str, str | int] = {"map_id": session.map_id, "session_id": session.session_id}
-    frames = uow.session_poses.distinct(session.tenant, "frame", version=version, **own)
-    in_frame: dict[str, str | int] = {"map_id": session.map_id, "version": version}
-    shared = any(uow.session_poses.count(session.tenant, frame=frame, **in_frame) > 1 for frame in frames)
-    return shared and not uow.submaps.count(session.tenant, state=SubmapState.QUEUED.value, **own)
 
 
 def tell_changes(uow: UnitOfWork, drives: Sequence[SessionRecord], found: Mapping[int, DriveChanges]) -> None:

@@ -22,6 +22,7 @@ from revisit.service.features.audit.calls import AuditEntry
 from revisit.service.features.graph.anchors import origin_by
 from revisit.service.features.graph.posting import optimise_soon
 from revisit.service.features.graph.reading import MapTask, with_evidence
+from revisit.service.features.graph.told_changes import find_changes_soon
 from revisit.service.features.loops.claims import verdict_evidence
 from revisit.service.features.loops.rows import Change, add_loop
 from revisit.service.features.merging.rules import MergeProposal
@@ -70,6 +71,7 @@ class MergeCommit:
         report = self._store(uow, current, copies)
         forget_versions(uow, current.tenant, current.map_id, current.map_version + 1 - self.policy.map_versions_kept)
         uow.queue.complete(self.lease, report)
+        find_changes_soon(uow, current.tenant, current.map_id, self.policy, self.now_ns)
         if self._copied_anchors(uow, current, copies):
             optimise_soon(uow, current.tenant, current.map_id, self.policy, self.now_ns, decided=True)
         return True

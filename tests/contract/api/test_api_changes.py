@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import json
 import time
+from dataclasses import replace
 
 import pytest
 from typer.testing import CliRunner
@@ -12,11 +13,13 @@ from typer.testing import CliRunner
 from revisit.cli.app import app
 from revisit.sdk.errors import InvalidArgument, NotFound
 from revisit.service.capacity.limits import POINTS_PER_S
+from revisit.service.domain.states import WebhookState
 from revisit.service.features.changes import job
 from revisit.service.features.changes.rows import FoundChanges
+from revisit.service.features.optimisation.rows import forget_versions
 from revisit.service.features.tiles import rows as tile_rows
 from tests.support.patience import eventually
-from tests.support.service_world import cloud_points, pose
+from tests.support.service_world import TENANT, cloud_points, pose
 
 DAY_NS = 86_400 * 10**9
 MONDAY, TUESDAY = 20_000 * DAY_NS, 20_001 * DAY_NS
@@ -85,6 +88,64 @@ def test_drives_are_not_compared_that_ended_before_a_webhook_asked_for_changes(c
     client.create_webhook(f"{made[5:]}-2", "https://hooks.example.com/revisit", map_=made, kinds=["MAP_CHANGED"])
     client.wait(client.optimise_map(made))
     assert comparisons(client, made) == []
+
+
+def change_store(service, work):
+    return service.world.context.transactions.write(work).result()
+
+
+def test_a_suspended_webhook_is_told_later_of_drives_that_ended_meanwhile_though_another_asks_by_then(client, service):
+    made = client.create_map(f"years-{next(_numbers)}", leave_distance_m=0).name
+    asked = {"url": "https://hooks.example.com/revisit", "map_": made, "kinds": ["MAP_CHANGED"]}
+    first = client.create_webhook(made[5:], **asked)
+
+    def suspend(uow):
+        row = uow.webhooks.get(TENANT, made[5:])
+        uow.webhooks.replace(replace(row, state=WebhookState.SUSPENDED.value))
+
+    change_store(service, suspend)
+    for session in drive_twice(client, made, (5, 25)):
+        client.finish_session(session)
+    service.world.clock.ms += 1
+    client.create_webhook(f"{made[5:]}-2", **asked)
+    client.wait(client.optimise_map(made))
+    assert comparisons(client, made) == []
+    client.resume_webhook(first)
+    client.wait(client.optimise_map(made))
+    assert comparisons(client, made) != []
+    (event,) = itertools.islice(client.watch(made, after=0, kinds=["MAP_CHANGED"]), 1)
+    assert event.drive_changes.session.endswith("/tuesday")
+
+
+def test_a_drive_is_compared_once_a_version_has_its_end(client, service):
+    made = client.create_map(f"years-{next(_numbers)}", leave_distance_m=0).name
+    client.create_webhook(made[5:], "https://hooks.example.com/revisit", map_=made, kinds=["MAP_CHANGED"])
+    sessions = drive_twice(client, made, (5, 25))
+    client.wait(client.optimise_map(made))
+    client.wait(client.post_submap(sessions[1], "at-45", cloud_points(45), pose(45), TUESDAY + 45))
+    client.finish_session(sessions[1])
+    assert comparisons(client, made) == []
+    client.wait(client.optimise_map(made))
+    assert [one.subject for one in comparisons(client, made)] == [f"{made}/versions/2"]
+
+
+def test_a_drive_is_told_though_the_version_it_waits_with_has_left(client, service):
+    made = client.create_map(f"years-{next(_numbers)}", leave_distance_m=0).name
+    client.create_webhook(made[5:], "https://hooks.example.com/revisit", map_=made, kinds=["MAP_CHANGED"])
+    sessions = drive_twice(client, made, (5, 25))
+    client.wait(client.optimise_map(made))
+    client.wait(client.optimise_map(made))
+    service.working.clear()
+    for session in sessions:
+        client.finish_session(session)
+    assert [one.subject for one in comparisons(client, made)] == [f"{made}/versions/2"]
+    client.revert_map(made, 1)
+    change_store(service, lambda uow: forget_versions(uow, TENANT, made[5:], 2))
+    service.working.set()
+    eventually(lambda: f"{made}/versions/3" in [one.subject for one in comparisons(client, made)])
+    (event,) = itertools.islice(client.watch(made, after=0, kinds=["MAP_CHANGED"]), 1)
+    told = event.drive_changes
+    assert (told.session, told.map_version) == (f"{made}/sessions/tuesday", f"{made}/versions/3")
 
 
 def test_what_a_drive_found_changed_is_told_with_that_drive_and_the_time_in_between(client, driven_twice):
