@@ -137,6 +137,30 @@ async def test_events_arrive_signed_in_order_and_once(world):
         await sending.close()
 
 
+async def test_a_body_is_bounded_and_what_does_not_fit_comes_with_the_next(world, monkeypatch):
+    monkeypatch.setattr(deliveries, "BODY_BYTES", 3_000)
+    await open_session(world)
+    with receiver() as there:
+        secret = await hooked(world, there.url)
+        await post(world, *range(1, 100, 10), 1)
+        sending = delivering(world)
+        for _ in range(40):
+            await once(sending)
+        events = there.events(secret)
+        assert [event.number for event in events] == sorted({event.number for event in events})
+        assert len({event.operation.subject for event in events if event.operation}) == 11
+        assert {event.kind for event in events} == {"OPERATION", "LOOP_CLOSURE"}
+        sizes = [len(body) for _, body in there.requests]
+        assert len(sizes) > 3 and max(sizes) < 3_000 < sum(sizes)
+        monkeypatch.setattr(deliveries, "BODY_BYTES", 100)
+        await post(world, 200)
+        for _ in range(4):
+            await once(sending)
+        told = [json.loads(body)["events"] for _, body in there.requests[len(sizes) :]]
+        assert told and all(len(one) == 1 for one in told)  # an event that is larger by itself is sent, too
+        await sending.close()
+
+
 async def test_a_failure_is_tried_again_after_a_pause_that_grows_and_loses_nothing(world):
     await open_session(world)
     with receiver(answers=[500, 503]) as there:

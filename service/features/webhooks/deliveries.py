@@ -31,6 +31,9 @@ from revisit.service.ports.transactions import UnitOfWork
 BATCH = 50
 """Events of one request at most."""
 
+BODY_BYTES = 512 * 1024
+"""Of a request with several events at most: half of what common receivers take."""
+
 AT_ONCE, OF_TENANT = 64, 4
 """Requests under way: in all, and of one tenant, so that receivers of one that hang hold up nobody else."""
 
@@ -109,11 +112,10 @@ class Deliveries:
         await self.sender.close()
 
     async def _deliver(self, webhook: WebhookRecord) -> None:
-        batch = await self.storage.read(partial(_batch, webhook=webhook))
+        batch, body = await self._next(webhook)
         if not batch.events:
             await self.storage.write(partial(_go_on, webhook=webhook, told=batch.told))
             return
-        body = self.render(f"webhooks/{webhook.webhook_id}", batch.events)
         began_s, at_ns = time.monotonic(), self.clock.wall_ns()
         answered = await self.sender.send(webhook.url, body, headers_of(webhook, batch, body, at_ns))
         attempt = _attempt(webhook, batch, answered, at_ns, int(1000 * (time.monotonic() - began_s)))
@@ -122,6 +124,16 @@ class Deliveries:
         if not attempt.arrived:
             fields = {"webhook": webhook.webhook_id, "tenant": webhook.tenant, "failures": after.failures}
             log.warning("webhook_failed", **fields, status=answered.status, reason=answered.error, state=after.state)
+
+    async def _next(self, webhook: WebhookRecord) -> tuple[Batch, bytes]:
+        """The next events and the body that tells of them: as many as fit, at least one."""
+        most = BATCH
+        while True:
+            batch = await self.storage.read(partial(_batch, webhook=webhook, most=most))
+            body = self.render(f"webhooks/{webhook.webhook_id}", batch.events)
+            if len(body) <= BODY_BYTES or len(batch.events) <= 1:
+                return batch, body
+            most = max(1, len(batch.events) * BODY_BYTES // (2 * len(body)))
 
 
 def _has_slot(of_tenant: int, in_all: int) -> bool:
@@ -163,14 +175,16 @@ def pause_s(failures: int) -> float:
     return random.uniform(0.5, 1.0) * whole_s
 
 
-def _batch(uow: UnitOfWork, webhook: WebhookRecord) -> Batch:
-    """As many of each map as of the others, so that none waits for another; of too many maps some, drawn at random."""
+def _batch(uow: UnitOfWork, webhook: WebhookRecord, most: int) -> Batch:
+    """At most so many events, as many of each map as of the others, so that none waits for another; of too many maps
+    some, drawn at random.
+    """
     news = uow.webhooks.news(webhook)
-    maps = random.sample(sorted(news), min(len(news), BATCH))
+    maps = random.sample(sorted(news), min(len(news), most))
     wanted = {*webhook.kinds, EventKind.FORGOTTEN.value}
     events, told = list[EventView](), dict[str, int]()
     for map_id in sorted(maps):
-        share, its = BATCH // len(maps), news[map_id]
+        share, its = most // len(maps), news[map_id]
         rows = uow.events.following(webhook.tenant, map_id, its.told, share)
         events += events_of(uow, [row for row in rows if not webhook.kinds or row.kind in wanted])
         told[map_id] = rows[-1].number if len(rows) == share else its.last
