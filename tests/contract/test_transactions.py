@@ -12,6 +12,7 @@ from revisit.service.domain.errors import AlreadyExists, NotFound
 from revisit.service.domain.identity import TenantId
 from revisit.service.ports.repositories import FoundSubmap, LoopEnds
 from revisit.service.ports.storage import require_map
+from tests.support.memory.transactions import MemoryTransactions
 from tests.support.records import TENANT, a_loop, a_map, a_robot, a_scan, a_session, a_submap
 
 OTHER = TenantId("other")
@@ -45,6 +46,17 @@ def test_an_exception_undoes_the_whole_transaction(write, read):
     with pytest.raises(RuntimeError, match="half way"):
         write(fails)
     assert read(lambda uow: uow.maps.count(TENANT)) == 0
+
+
+def test_what_reads_in_memory_cannot_write():
+    store = MemoryTransactions()
+    store.write(fill).result()
+    before = store.read_here(lambda uow: uow.maps.find(TENANT))
+    changed = replace(before[0], graph_edits=7)
+    for work in (lambda uow: uow.maps.add(a_map("other")), lambda uow: uow.maps.replace(changed)):
+        with pytest.raises(TypeError):
+            store.read_here(work)
+    assert store.read_here(lambda uow: uow.maps.find(TENANT)) == before
 
 
 def test_the_version_is_another_one_after_every_commit_and_after_nothing_else(transactions, write, read):

@@ -8,7 +8,8 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import islice
 from operator import attrgetter
-from typing import Any, Generic, TypeVar
+from types import MappingProxyType
+from typing import Any, Generic, TypeVar, cast
 
 from revisit.service.domain.errors import AlreadyExists, NotFound
 from revisit.service.domain.events import ChangeOf, EventRecord
@@ -51,10 +52,19 @@ class Rows:
         """An independent copy; records are immutable."""
         return Rows(dict(self.by_number), dict(self.numbers), self.last, dict(self.last_of))
 
+    def fixed(self) -> Rows:
+        """The same rows for those who only read."""
+        return Rows(_fixed(self.by_number), _fixed(self.numbers), self.last, _fixed(self.last_of))
+
     def next_of(self, key: Any) -> int:
         """The next number within a map."""
         self.last_of[key] = self.last_of.get(key, 0) + 1
         return self.last_of[key]
+
+
+def _fixed(rows: dict[Any, Any]) -> dict[Any, Any]:
+    """A view that refuses changes."""
+    return cast("dict[Any, Any]", MappingProxyType(rows))
 
 
 class Doomed:

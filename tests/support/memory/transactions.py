@@ -134,7 +134,8 @@ class MemoryTransactions:
         """See `Transactions`."""
         with self._lock:
             committed = self._tables  # no transaction changes these: each writes in a copy
-        return work(MemoryUnitOfWork(committed, self._lease_ms, self._clock))
+        fixed = {name: rows.fixed() for name, rows in committed.items()}
+        return work(MemoryUnitOfWork(fixed, self._lease_ms, self._clock))
 
     def version(self) -> int | None:
         """See `Transactions`."""
