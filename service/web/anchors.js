@@ -76,15 +76,15 @@ export class AnchorList {
   /** Draw them where their submaps are drawn now. */
   draw() {
     const shown = this.isOpen && this.view ? (this.found ?? []).slice(0, MOST_DRAWN) : [];
-    const bySession = shown.length ? Map.groupBy(this.submaps(), (submap) => sessionOf(submap.name)) : new Map();
-    const drawn = shown.map((one) => this.placed(one, bySession.get(sessionOf(one.name)) ?? [])).filter(Boolean);
+    const drives = inTime(shown.length ? this.submaps() : []);
+    const drawn = shown.map((one) => this.placed(one, drives.get(sessionOf(one.name)) ?? [])).filter(Boolean);
     this.view?.showAnchors(drawn);
     document.body.dataset.drawnAnchors = String(drawn.length);
   }
 
   /** { state, at, to } of an anchor of a drive: where the map has its point, as drawn, and where its place is; null for none. */
   placed(one, drive) {
-    const nearest = drive.reduce((best, submap) => (!best || away(submap, one) < away(best, one) ? submap : best), null);
+    const nearest = nearestInTime(drive, Number(one.stamp_ns));
     const place = nearest && this.view.places.get(nearest.name);
     if (!place) return null;
     const T_drawing_odom = product(place.matrix, inverse(matrixOf(nearest.t_odom_submap)));
@@ -106,8 +106,30 @@ export class AnchorList {
 const stateOf = (one) => one.state ?? "STATE_UNSPECIFIED";
 const offBy = ({ residual_m: off }) => (off ? Math.hypot(off.x, off.y, off.z) : 0);
 
-/** How far a submap lies from an anchor in time, nanoseconds. */
-const away = (submap, one) => Math.abs(Number(submap.stamp_ns) - Number(one.stamp_ns));
+/** The submaps of each drive by its name, as { submap, at }, in the order of their times, nanoseconds. */
+function inTime(submaps) {
+  const drives = Map.groupBy(submaps.map((submap) => ({ submap, at: Number(submap.stamp_ns) })), ({ submap }) => sessionOf(submap.name));
+  for (const drive of drives.values()) drive.sort((a, b) => a.at - b.at);
+  return drives;
+}
+
+/** The submap of a drive nearest to a time, of several the first; undefined of none. */
+function nearestInTime(drive, at) {
+  const after = firstFrom(drive, at);
+  const near = [drive[after - 1], drive[after]].filter(Boolean).map((one) => drive[firstFrom(drive, one.at)]);
+  return near.sort((a, b) => Math.abs(a.at - at) - Math.abs(b.at - at))[0]?.submap;
+}
+
+/** The place of the first of a drive that is not before a time. */
+function firstFrom(drive, at) {
+  let [low, high] = [0, drive.length];
+  while (low < high) {
+    const middle = (low + high) >> 1;
+    if (drive[middle].at < at) low = middle + 1;
+    else high = middle;
+  }
+  return low;
+}
 
 function row(one) {
   const state = stateOf(one);
