@@ -24,7 +24,9 @@ from revisit.service.features.graph.anchor_verdicts import anchor_verdicts, fram
 from revisit.service.features.graph.anchors import SubmapsInTime
 from revisit.service.features.graph.session_poses import PackedSubmaps
 from revisit.service.features.merging.calls import MergeMap
+from revisit.service.features.optimisation import rows as optimisation_rows
 from revisit.service.features.resources.paging import PageRequest
+from revisit.service.features.webhooks.calls import CreateWebhook
 from revisit.service.ports.repositories import PlacedSubmap
 from tests.support.fleet_in_service import fleet_in, fleet_in_two
 from tests.support.live_service import connected, live_service
@@ -108,6 +110,7 @@ async def test_maps_without_anchors_have_the_same_versions_bit_for_bit(world):
         await world.use_cases.anchors.delete(TENANT, "town", one.record.session_id, one.record.anchor_id)
     without = await optimised(world)
     assert without.content_hash == before.content_hash
+    assert "georeferences" in on_earth.summary and rows(world, "maps")[0].origin is not None
 
 
 async def test_a_version_on_earth_comes_back_to_the_byte(world):
@@ -163,13 +166,27 @@ async def test_an_anchor_that_is_set_aside_or_used_again_is_an_event(world):
     assert told(world, seen) == aside | {("door", "IN_MAP", None)}
 
 
+async def test_a_version_tells_so_many_anchors_at_most_and_fixes_last(monkeypatch):
+    world = memory_world()
+    made = fleet_in(world, "town", 0.0, sessions=2, submaps=30).fleet
+    with_stamps(world)
+    monkeypatch.setattr(optimisation_rows, "TOLD_ANCHORS", 3)
+    fixes = new_anchors(made, "s0")
+    wrong, right = ([one for one in fixes if one.anchor_id.startswith(side)] for side in ("wrong", "right"))
+    doors = [replace(one, anchor_id=f"door-{n}", kind=AnchorKind.CONTROL_POINT) for n, one in enumerate(right[:2])]
+    await world.use_cases.anchors.post(TENANT, SessionKey("town", "s0"), [*fixes, *doors])
+    await optimised(world)
+    first = (wrong[0].anchor_id, "SET_ASIDE", "DISAGREES")
+    assert told(world) == {("door-0", "IN_MAP", None), ("door-1", "IN_MAP", None), first}
+
+
 async def test_a_preview_says_what_anchors_would_do_and_keeps_nothing(world):
     made = fleet_in(world, "town", 0.0, sessions=2, submaps=30).fleet
     with_stamps(world)
     before, key = await optimised(world), SessionKey("town", "s0")
     asked = new_anchors(made, "s0")
     posted = await world.use_cases.anchors.preview(TENANT, key, asked)
-    again = await world.use_cases.anchors.preview(TENANT, key, asked)
+    again = await world.use_cases.anchors.preview(TENANT, key, [*asked, asked[0]])
     assert again.replay and again.operation.operation_id == posted.operation.operation_id
     world.work_off()
     done = await world.use_cases.operations.get(TENANT, posted.operation.operation_id)
@@ -259,6 +276,43 @@ async def test_a_map_that_lay_on_earth_by_a_merge_alone_does_not_when_that_is_ta
     assert back.content_hash == before.content_hash
     assert [one.origin for one in rows(world, "maps")] == [None]
     assert [one.version for one in rows(world, "map_versions") if "georeferences" in one.summary] == []
+
+
+async def test_a_drive_that_came_by_a_merge_is_compared_where_a_webhook_asks_for_changes():
+    world = memory_world()
+    made = fleet_in_two(world, ("town", "annex"), seed=4, sessions=2, submaps=60, per_pair=0).fleet
+    hook = CreateWebhook("changes", "https://hooks.example.com/revisit", "town", (EventKind.MAP_CHANGED,))
+    await world.use_cases.webhooks.create(TENANT, hook)
+    await optimised(world)
+    for map_id, session in zip(("town", "annex"), made.truth, strict=True):
+        await world.use_cases.sessions.finish(TENANT, SessionKey(map_id, session))
+    assert comparisons(world) == []
+    await world.use_cases.map_merges.merge(TENANT, MergeMap("town", "annex"))
+    world.work_off()
+    (merge,) = rows(world, "map_merges")
+    assert comparisons(world)[:1] == [f"maps/town/versions/{merge.version}"]
+
+
+async def test_where_a_version_lacks_the_end_of_a_drive_that_is_to_be_compared_the_next_one_follows():
+    world = memory_world(optimise_after_loops=1)
+    fleet_in(world, "town", 0.0, sessions=2, submaps=10)
+    hook = CreateWebhook("changes", "https://hooks.example.com/revisit", "town", (EventKind.MAP_CHANGED,))
+    await world.use_cases.webhooks.create(TENANT, hook)
+    await optimised(world)
+    last = rows(world, "submaps", session_id="s1")[-1]
+    end = replace(last, submap_id="end", ordinal=last.ordinal + 1, number=0)
+    world.context.transactions.write(lambda uow: uow.submaps.add(end)).result()
+    await world.use_cases.sessions.finish(TENANT, SessionKey("town", "s1"))
+    assert [one.state for one in rows_of_jobs(world)] == ["DONE", "QUEUED"] and comparisons(world) == []
+    world.clock.ms += 600_000
+    world.work_off()
+    assert [one.state for one in rows_of_jobs(world)] == ["DONE", "DONE"]
+    assert comparisons(world)[:1] == ["maps/town/versions/2"]
+
+
+def comparisons(world):
+    jobs = world.context.transactions.read(lambda uow: uow.jobs.find(TENANT, kind="FIND_CHANGES")).result()
+    return [one.subject for one in jobs]
 
 
 async def test_anchors_that_are_posted_again_change_nothing_and_queue_nothing():

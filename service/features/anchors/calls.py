@@ -25,7 +25,7 @@ from revisit.service.features.anchors.rules import AnchorQuestion, DrivePoses, N
 from revisit.service.features.audit import calls as audit
 from revisit.service.features.audit.calls import AuditEntry
 from revisit.service.features.graph.anchor_verdicts import anchor_verdicts, kept_anchors
-from revisit.service.features.graph.anchors import origin_by
+from revisit.service.features.graph.anchors import move_origin, origin_by
 from revisit.service.features.graph.edits import note_edit
 from revisit.service.features.graph.posting import optimise_soon
 from revisit.service.features.resources.call_context import CallContext
@@ -84,7 +84,7 @@ class Anchors:
 
         Raises as `post`, and WorkersBusy.
         """
-        rows = [replace(one, created_at_ns=0) for one in await self._rows(tenant, key, anchors)]
+        rows = _distinct([replace(one, created_at_ns=0) for one in await self._rows(tenant, key, anchors)])
         payload = AnchorQuestion(key.map_id, tuple(rows)).payload()
         return await self._context.storage.write(partial(self._ask, tenant=tenant, key=key, rows=rows, payload=payload))
 
@@ -92,8 +92,9 @@ class Anchors:
         self, uow: UnitOfWork, tenant: TenantId, key: SessionKey, rows: Sequence[AnchorRecord], payload: dict[str, Any]
     ) -> PostedOperation:
         require_map(uow, tenant, key.map_id, hold=True)
-        for row in rows:
-            _known(uow, row)
+        new = sum(_known(uow, row) is None for row in rows)
+        if new:
+            _require_room(uow, tenant, key, new)
         asked, replay = self._context.jobs.ask(uow, tenant, OperationKind.PREVIEW_ANCHORS, key.name, payload)
         return PostedOperation(asked, replay)
 
@@ -133,12 +134,14 @@ class Anchors:
 
     def _delete(self, uow: UnitOfWork, key: SessionKey, anchor_id: str, entry: AuditEntry, now_ns: int) -> None:
         tenant = TenantId(entry.tenant)
-        require_map(uow, tenant, key.map_id, hold=True)
+        of_map = require_map(uow, tenant, key.map_id, hold=True)
         require_session(uow, tenant, key)
         row = uow.anchors.get(tenant, key.map_id, key.session_id, anchor_id)
         if row is None:
             raise NotFound(f"there is no anchor {anchor_id!r} of {key.name}"[:300])
         uow.anchors.delete(tenant, number=row.number)
+        if row.position == of_map.origin:
+            move_origin(uow, tenant, key.map_id)
         audit.append(uow, now_ns, entry)
         note_edit(uow, tenant, key.map_id)
         optimise_soon(uow, tenant, key.map_id, self._context.policy, now_ns, decided=True)
@@ -154,10 +157,24 @@ def _stored(uow: UnitOfWork, session: SessionRecord, rows: Sequence[AnchorRecord
         known = _known(uow, row)
         stored.append(known or uow.anchors.add(row))
         added += known is None
-    of_session = {"map_id": session.map_id, "session_id": session.session_id}
-    if added and uow.anchors.count(TenantId(session.tenant), **of_session) > limits.ANCHORS_OF_SESSION:
-        raise BadField(f"a session has at most {limits.ANCHORS_OF_SESSION} anchors", field="anchors")
+    if added:
+        _require_room(uow, TenantId(session.tenant), session.key)
     return stored, added
+
+
+def _distinct(rows: Sequence[AnchorRecord]) -> list[AnchorRecord]:
+    """Each anchor once. Raises AlreadyExists where two of an id have other content."""
+    found = dict[str, AnchorRecord]()
+    for row in rows:
+        first = found.setdefault(row.anchor_id, row)
+        require_same_content(first.content_hash, row.content_hash, f"anchor {row.anchor_id}")
+    return list(found.values())
+
+
+def _require_room(uow: UnitOfWork, tenant: TenantId, key: SessionKey, more: int = 0) -> None:
+    """Raises BadField where a session with so many `more` anchors would have too many."""
+    if uow.anchors.count(tenant, map_id=key.map_id, session_id=key.session_id) + more > limits.ANCHORS_OF_SESSION:
+        raise BadField(f"a session has at most {limits.ANCHORS_OF_SESSION} anchors", field="anchors")
 
 
 def _known(uow: UnitOfWork, row: AnchorRecord) -> AnchorRecord | None:

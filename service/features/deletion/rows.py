@@ -12,6 +12,7 @@ from dataclasses import replace
 from revisit.service.domain.records import DeletionRecord, MapRecord, SessionRecord, SubmapRecord
 from revisit.service.domain.states import OperationState, SubmapState
 from revisit.service.features.deletion.blob_references import blobs_of_submap, forget_made
+from revisit.service.features.graph.anchors import move_origin
 from revisit.service.features.graph.edits import note_edit
 from revisit.service.features.graph.session_poses import forget_submap
 from revisit.service.ports.transactions import UnitOfWork
@@ -42,6 +43,7 @@ def mark_session(uow: UnitOfWork, record: MapRecord, session: SessionRecord, at_
     uow.changes.record_session_removed(record, session.number)
     note_edit(uow, tenant, map_id)
     uow.deletions.add(DeletionRecord(tenant, map_id, session_id, at_ns))
+    move_origin(uow, tenant, map_id)
 
 
 def mark_map(uow: UnitOfWork, record: MapRecord, at_ns: int) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from bisect import bisect_left
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -13,11 +13,13 @@ from numpy.typing import NDArray
 from revisit.core.geometry import geodesy, se3
 from revisit.core.geometry.se3 import pose_matrix, pose_row
 from revisit.core.pose_graph.anchors import Heading
+from revisit.service.domain.identity import TenantId
 from revisit.service.domain.records import AnchorRecord, MapRecord
 from revisit.service.domain.states import AnchorFrame
 from revisit.service.features.graph.map_frames import frame_name
-from revisit.service.ports.map_optimiser import FrameOnEarth, TrackAnchor
+from revisit.service.ports.map_optimiser import GEOREFERENCES, FrameOnEarth, TrackAnchor
 from revisit.service.ports.repositories import PlacedSubmap
+from revisit.service.ports.storage import require_map
 from revisit.service.ports.transactions import UnitOfWork
 
 Array64 = NDArray[np.float64]
@@ -68,6 +70,24 @@ def origin_by(record: MapRecord, rows: Iterable[AnchorRecord]) -> tuple[float, f
     """The origin of a map: its own, else the first place on earth of these anchors of it; None without any."""
     on_earth = (row.position for row in rows if row.frame == AnchorFrame.WGS84)
     return next(on_earth, None) if record.origin is None else record.origin
+
+
+def move_origin(uow: UnitOfWork, tenant: TenantId, map_id: str) -> None:
+    """Where the anchor that gave a map its origin is gone, that is the first place on earth which is left, or none.
+
+    It stays where a version lies on earth by it, or an anchor is measured from it.
+    """
+    record = require_map(uow, tenant, map_id, hold=True)
+    first, local = (
+        uow.anchors.find(tenant, limit=1, map_id=map_id, frame=frame.value)
+        for frame in (AnchorFrame.WGS84, AnchorFrame.LOCAL)
+    )
+    origin = first[0].position if first else None
+    if record.origin in (None, origin) or local:
+        return
+    if any(GEOREFERENCES in one.summary for one in uow.map_versions.find(tenant, map_id=map_id)):
+        return
+    uow.maps.replace(replace(record, origin=origin))
 
 
 def world_places(rows: Sequence[AnchorRecord], origin: tuple[float, float, float] | None) -> Array64:

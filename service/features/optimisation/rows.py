@@ -50,6 +50,9 @@ MAP_DELETED = {"outcome": "the map was deleted"}
 MAP_REVERTED = {"outcome": "an earlier version was brought back meanwhile"}
 """Results of a job for a map that is gone, or that a person has fixed."""
 
+TOLD_ANCHORS = 1000
+"""Anchors at most of which a version tells by events."""
+
 
 @dataclass(frozen=True)
 class VersionCommit:
@@ -174,14 +177,16 @@ def tell_anchors(uow: UnitOfWork, current: MapRecord, after: bytes | None) -> No
     """Record the anchors on which the next version of a map has another verdict than the one in force, as events.
 
     That one is set aside, or no longer is. That one holds the map, or no longer does, where it is no fix: of these
-    there are thousands, and the version tells how many hold.
+    there are thousands, and the version tells how many hold. At most TOLD_ANCHORS, fixes last: the transaction holds up
+    all other writers.
     """
     version = uow.map_versions.get(current.tenant, current.map_id, current.map_version)
     aside, held = changed_anchors(None if version is None else version.anchors, after)
     surveyed = set[int]()
-    for kind in (AnchorKind.CONTROL_POINT, AnchorKind.KNOWN_POSE) if held else ():
+    for kind in (AnchorKind.CONTROL_POINT, AnchorKind.KNOWN_POSE) if aside | held else ():
         surveyed |= uow.anchors.distinct(current.tenant, "number", map_id=current.map_id, kind=kind.value)
-    for number in sorted(aside | held & surveyed):
+    told = sorted((aside | held) & surveyed) + sorted(aside - surveyed)
+    for number in sorted(told[:TOLD_ANCHORS]):
         uow.events.record(EventRecord(current.tenant, current.map_id, EventKind.ANCHOR.value, str(number)))
 
 

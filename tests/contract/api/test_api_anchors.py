@@ -55,6 +55,9 @@ def test_anchors_that_are_there_are_passed_over_though_the_session_has_room_for_
     assert client.sessions.post_anchors(session, [FIX, POINT]) == posted
     with pytest.raises(InvalidArgument, match="at most 2 anchors"):
         client.sessions.post_anchors(session, [FIX, START])
+    with pytest.raises(InvalidArgument, match="at most 2 anchors"):
+        client.sessions.preview_anchors(session, [FIX, START])
+    assert client.sessions.preview_anchors(session, [FIX]).kind == "PREVIEW_ANCHORS"
     assert client.sessions.anchors(session) == posted
 
 
@@ -77,6 +80,27 @@ def test_a_deleted_anchor_is_gone(client, session):
         client.sessions.delete_anchor(posted)
 
 
+def test_a_false_first_fix_is_no_origin_any_more_once_it_is_deleted(client, session, town):
+    def latitude_deg():
+        origin = client.get_map(town).origin
+        return origin and origin.latitude_deg
+
+    zero, other = replace(FIX, anchor_id="zero", geodetic=(0.0, 0.0, 0.0)), client.create_session(town, "other")
+    client.sessions.post_anchors(other, [zero])
+    (false, fix) = client.sessions.post_anchors(session, [replace(zero, geodetic=(1.0, 0.0, 0.0)), FIX])
+    assert latitude_deg() == 0.0
+    client.delete(other)
+    assert latitude_deg() == 1.0
+    client.sessions.delete_anchor(false)
+    assert latitude_deg() == 48.0
+    (door,) = client.sessions.post_anchors(session, [POINT])
+    client.sessions.delete_anchor(fix)
+    assert latitude_deg() == 48.0  # the door is measured from there
+    client.sessions.delete_anchor(door)
+    client.sessions.delete_anchor(client.sessions.post_anchors(session, [FIX])[0])
+    assert latitude_deg() is None
+
+
 def test_a_preview_of_anchors_is_an_operation_that_keeps_none(client, session):
     asked = client.sessions.preview_anchors(session, [POINT, FIX])
     assert (asked.kind, asked.subject) == ("PREVIEW_ANCHORS", session.name)
@@ -86,6 +110,8 @@ def test_a_preview_of_anchors_is_an_operation_that_keeps_none(client, session):
     client.sessions.post_anchors(session, [FIX])
     with pytest.raises(AlreadyExists):
         client.sessions.preview_anchors(session, [replace(FIX, stamp_ns=5)])
+    with pytest.raises(AlreadyExists):
+        client.sessions.preview_anchors(session, [POINT, replace(POINT, stamp_ns=5)])
     with pytest.raises(InvalidArgument):
         client.sessions.preview_anchors(session, [replace(FIX, T_odom_sensor=None)])
 
