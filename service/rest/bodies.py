@@ -87,7 +87,7 @@ def parse_json(data: bytes, schema: type[SchemaT], limits: HttpLimits) -> Schema
     """
     try:
         text = data.decode("utf-8", errors="strict")
-        _check_structure(text, limits)
+        _check_structure(text, limits, schema.most_bytes)
         hook = partial(_without_duplicates, most=limits.json_keys)
         read = _finite if _MAYBE_HUGE.search(text) else None
         json.loads(text, parse_constant=_refuse_constant, object_pairs_hook=hook, parse_float=read)
@@ -153,15 +153,13 @@ def limits_of(request: Request) -> HttpLimits:
     return limits
 
 
-def _check_structure(text: str, limits: HttpLimits) -> None:
-    """Raises MalformedBody for more arrays and objects, or deeper ones, than any call takes."""
-    depth = 0
+def _check_structure(text: str, limits: HttpLimits, most_bytes: int) -> None:
+    """Raises MalformedBody for more arrays and objects, or deeper ones, than a call takes with bodies so long."""
+    depth, containers = 0, limits.json_containers * max(1, most_bytes // SHORT_JSON_BYTES)
     for number, bracket in enumerate(_BRACKET.finditer(_STRING.sub("", text))):
         depth += 1 if bracket[0] in "[{" else -1
-        if depth > limits.json_depth or number >= 2 * limits.json_containers:
-            raise MalformedBody(
-                f"JSON may nest at most {limits.json_depth} deep, in {limits.json_containers} arrays and objects"
-            )
+        if depth > limits.json_depth or number >= 2 * containers:
+            raise MalformedBody(f"JSON may nest at most {limits.json_depth} deep, in {containers} arrays and objects")
 
 
 def _refuse_constant(name: str) -> Any:

@@ -16,7 +16,7 @@ class HttpLimits:
     body_bytes: int = 32 * MIB
     json_depth: int = 16
     json_containers: int = 256
-    """Arrays and objects in a body."""
+    """Arrays and objects in a short body; in proportion in those of calls that take longer ones."""
     json_keys: int = 64
     """Of one object."""
     body_grace_s: float = 10.0

@@ -61,6 +61,12 @@ def test_anchors_that_are_there_are_passed_over_though_the_session_has_room_for_
     assert client.sessions.anchors(session) == posted
 
 
+def test_as_many_anchors_are_taken_at_once_as_a_request_may_have(client, session):
+    most = [replace(FIX, anchor_id=f"fix-{n}", offset_m=np.full(3, 1 / 3)) for n in range(int(limits.ANCHORS.most))]
+    assert client.sessions.preview_anchors(session, most).kind == "PREVIEW_ANCHORS"
+    assert len(client.sessions.post_anchors(session, most)) == 200
+
+
 def test_anchors_are_charged_each_and_so_is_looking_for_their_poses(client, service, session, monkeypatch):
     charged = []
     monkeypatch.setattr(service.world.context.in_flight, "charge_call", lambda _, points: charged.append(points))
