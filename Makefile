@@ -35,7 +35,7 @@ run: $(STAMP) ## run the service on this machine: HTTP, gRPC and workers
 # A clean checkout has no compiled kernels: they are compiled once, beside the first tests, which need none.
 test: $(STAMP) ## run the tests, without the slow ones
 	$(PYTHON) -c '$(COMPILE)' & \
-	$(PYTHON) -m pytest tests -m "not slow" -n 4 --dist loadfile --no-loadscope-reorder
+	$(PYTHON) -m pytest tests -m "not slow" -n 3 --dist loadfile --no-loadscope-reorder
 
 # Those of tests/unit that take a moment each; `pytest @file` reads the names of the others from tests/unit/long.txt.
 test-unit: $(STAMP) ## run the short unit tests of core, service and SDK, while you work: a minute on two cores
