@@ -75,6 +75,9 @@ QUERIES = (
 )  # fmt: skip
 """The kinds of jobs for which a client waits."""
 
+LAST = 2
+"""The priority of jobs that all other work of the tenant goes before."""
+
 _LAST = (OperationKind.FIND_CHANGES,)
 """Kinds of jobs that take long and are asked for again: what robots send goes before them, however many versions
 somebody asks about."""
@@ -91,6 +94,15 @@ def same_job(
     """A job that does the same and is in one of these states, the first of them first."""
     found = (uow.jobs.find(tenant, state=state.value, kind=kind.value, subject=subject) for state in states)
     return next((job for jobs in found for job in jobs if job.payload == payload), None)
+
+
+UNENDED = (OperationState.QUEUED, OperationState.RUNNING)
+"""The states of jobs that have not ended."""
+
+
+def unended_jobs(uow: UnitOfWork, tenant: TenantId, kind: OperationKind) -> list[JobRecord]:
+    """The jobs of a kind that wait, then those that run."""
+    return [job for state in UNENDED for job in uow.jobs.find(tenant, state=state.value, kind=kind.value)]
 
 
 _READ_WITHIN_NS = 60 * 10**9
@@ -138,7 +150,7 @@ class JobPosting:
 
     def made(self, tenant: TenantId, kind: OperationKind, subject: str, payload: dict[str, Any]) -> JobRecord:
         """A job that is not queued yet. Those for which a client waits go before others, some after."""
-        priority = 0 if kind in QUERIES else 2 if kind in _LAST else 1
+        priority = 0 if kind in QUERIES else LAST if kind in _LAST else 1
         return queued_job(tenant, kind, subject, payload, self._policy, self._clock.wall_ns(), priority)
 
     def enqueue(self, uow: UnitOfWork, job: JobRecord) -> JobRecord:

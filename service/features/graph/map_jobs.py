@@ -3,15 +3,12 @@ bounds them."""
 
 from __future__ import annotations
 
-from revisit.service.capacity.backlog import queued_job, same_job
+from revisit.service.capacity.backlog import LAST, queued_job, same_job
 from revisit.service.domain.identity import TenantId
 from revisit.service.domain.policy import Policy
 from revisit.service.domain.records import JobRecord
 from revisit.service.domain.states import LoopState, OperationKind
 from revisit.service.ports.transactions import UnitOfWork
-
-LAST = 2
-"""The priority of jobs that all other work of the tenant goes before."""
 
 
 def post_map_job(

@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import astuple, dataclass, replace
 
 from revisit.core.merge.evidence import ChangeKind
-from revisit.service.capacity.backlog import queued_job
+from revisit.service.capacity.backlog import LAST, queued_job, unended_jobs
 from revisit.service.domain.events import EventRecord
 from revisit.service.domain.identity import TenantId
 from revisit.service.domain.policy import Policy
@@ -16,12 +16,10 @@ from revisit.service.domain.records import MapRecord, SessionRecord
 from revisit.service.domain.states import (
     EventKind,
     OperationKind,
-    OperationState,
     SessionState,
     SubmapState,
     WebhookState,
 )
-from revisit.service.features.graph.map_jobs import LAST
 from revisit.service.features.graph.posting import optimise_soon
 from revisit.service.features.graph.session_poses import PackedSubmaps
 from revisit.service.ports.transactions import UnitOfWork
@@ -78,9 +76,8 @@ def find_changes_soon(uow: UnitOfWork, tenant: TenantId, map_id: str, policy: Po
 
 
 def _is_comparing(uow: UnitOfWork, tenant: TenantId, map_id: str) -> bool:
-    kind, states = OperationKind.FIND_CHANGES.value, (OperationState.QUEUED, OperationState.RUNNING)
-    jobs = (job for state in states for job in uow.jobs.find(tenant, kind=kind, state=state.value))
-    return any(job.payload["map_id"] == map_id for job in jobs)
+    comparing = unended_jobs(uow, tenant, OperationKind.FIND_CHANGES)
+    return any(job.payload["map_id"] == map_id for job in comparing)
 
 
 def untold_drives(uow: UnitOfWork, record: MapRecord, version: int) -> list[SessionRecord]:

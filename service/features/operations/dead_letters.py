@@ -12,7 +12,7 @@ from functools import partial
 from revisit.core.errors import BadField
 from revisit.service.capacity.backlog import QUERIES, Backlog
 from revisit.service.domain.errors import NotFound
-from revisit.service.domain.identity import SessionKey, SubmapKey, TenantId
+from revisit.service.domain.identity import SubmapKey, TenantId
 from revisit.service.domain.records import JobRecord, SubmapRecord
 from revisit.service.domain.states import OperationKind, OperationState, SubmapState
 from revisit.service.features.loops.waiting import accept_decided
@@ -76,7 +76,7 @@ def mark_subject_failed(uow: UnitOfWork, job: JobRecord, code: str, message: str
     failed = replace(submap, state=SubmapState.FAILED.value, failure_code=code, failure_message=message)
     uow.submaps.replace(replace(failed, descriptor=None, entered=0, searched=True))
     ended = uow.jobs.get(job.tenant, job.operation_id)
-    accept_decided(uow, job.tenant, SessionKey(submap.map_id, submap.session_id), (ended or job).finished_at_ns or 0)
+    accept_decided(uow, job.tenant, submap.key.session, (ended or job).finished_at_ns or 0)
 
 
 def _subject(uow: UnitOfWork, job: JobRecord) -> SubmapRecord | None:

@@ -5,12 +5,12 @@ from __future__ import annotations
 from functools import partial
 from typing import Any
 
-from revisit.service.capacity.backlog import same_job
+from revisit.service.capacity.backlog import UNENDED, same_job
 from revisit.service.domain import limits
 from revisit.service.domain.errors import AlreadyExists, NoAnswer, error_of
 from revisit.service.domain.identity import TenantId
 from revisit.service.domain.records import JobRecord
-from revisit.service.domain.states import OperationKind, OperationState
+from revisit.service.domain.states import OperationKind
 from revisit.service.features.operations.calls import Operations
 from revisit.service.features.resources.call_context import CallContext
 from revisit.service.ports.transactions import UnitOfWork
@@ -50,5 +50,5 @@ class JoinedJobs:
     ) -> JobRecord:
         if kind in _LONG:
             return self._context.jobs.ask(uow, tenant, kind, subject, payload)[0]
-        under_way = same_job(uow, tenant, kind, subject, payload, (OperationState.QUEUED, OperationState.RUNNING))
+        under_way = same_job(uow, tenant, kind, subject, payload, UNENDED)
         return under_way or self._context.jobs.post(uow, tenant, kind, subject, payload)

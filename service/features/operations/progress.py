@@ -5,9 +5,10 @@ from __future__ import annotations
 from functools import partial
 from typing import Any
 
+from revisit.service.capacity.backlog import unended_jobs
 from revisit.service.domain.identity import TenantId
 from revisit.service.domain.records import JobRecord
-from revisit.service.domain.states import OperationKind, OperationState
+from revisit.service.domain.states import OperationKind
 from revisit.service.ports.blobs import MERGE_PORTION_BLOB, Blob, StoredBlob
 from revisit.service.ports.clock import Clock
 from revisit.service.ports.job_queue import Lease
@@ -64,9 +65,7 @@ def portion_of(job: JobRecord) -> StoredBlob | None:
 
 def kept_for_jobs(uow: UnitOfWork, tenant: TenantId) -> set[Blob]:
     """The blobs that the jobs of a tenant go on with which have not ended, however long these wait."""
-    unended = (OperationState.QUEUED, OperationState.RUNNING)
-    merges = [uow.jobs.find(tenant, kind=OperationKind.MERGE_MAP.value, state=state.value) for state in unended]
-    kept = (portion_of(job) for jobs in merges for job in jobs)
+    kept = map(portion_of, unended_jobs(uow, tenant, OperationKind.MERGE_MAP))
     return {(blob.kind, blob.sha256) for blob in kept if blob is not None}
 
 

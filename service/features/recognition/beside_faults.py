@@ -18,7 +18,6 @@ from revisit.core.config import VerificationConfig
 from revisit.core.geometry import se3
 from revisit.core.geometry.se3 import Matrix4, pose_matrix
 from revisit.core.pose_graph.faults import FaultKind
-from revisit.service.domain.identity import SessionKey
 from revisit.service.domain.records import LoopRecord, MapRecord, SubmapRecord
 from revisit.service.features.graph.map_frames import MapFrames
 from revisit.service.ports.map_optimiser import FAULTS
@@ -27,7 +26,7 @@ from revisit.service.ports.transactions import UnitOfWork
 _BY_OTHERS = frozenset({Doubt.PAIRWISE_INCONSISTENT, Doubt.SUPPORT_LOST})
 """Doubts that loops raise which lie across a broken step."""
 
-_PAGE = 500
+LOOPS_AT_ONCE = 500
 """Loops, whose submaps are as many as may be asked for at once."""
 
 
@@ -46,7 +45,7 @@ class _Side:
 
     def holds_at(self, end: SubmapRecord) -> bool:
         """Whether no broken step lies between this submap and `end`, of the same drive."""
-        return _drive(end) == _drive(self.submap) and self.after < end.ordinal < self.before
+        return end.key.session == self.submap.key.session and self.after < end.ordinal < self.before
 
 
 def loops_beside_faults(
@@ -59,7 +58,7 @@ def loops_beside_faults(
     sides = _sides(uow, record, frames)
     if not sides:
         return [], None
-    page = uow.loops.rejected(record.tenant, record.map_id, ["AMBIGUOUS"], after=after, limit=_PAGE)
+    page = uow.loops.rejected(record.tenant, record.map_id, ["AMBIGUOUS"], after=after, limit=LOOPS_AT_ONCE)
     sessions = {one.submap.session_id for one in sides}
     beside = [one.number for one in page if sessions & {one.query_session_id, one.match_session_id}]
     loops = [one for one in uow.loops.numbered(record.tenant, beside).values() if _is_doubted_by_others(one)]
@@ -73,7 +72,7 @@ def loops_beside_faults(
         T_match_query = _agreeing(pose_matrix(loop.T_match_query), query, match, sides, frames, rules)
         if T_match_query is not None:
             found.append((loop, T_match_query))
-    return found, page[-1].number if len(page) == _PAGE else None
+    return found, page[-1].number if len(page) == LOOPS_AT_ONCE else None
 
 
 def _is_doubted_by_others(loop: LoopRecord) -> bool:
@@ -101,7 +100,7 @@ def _sides(uow: UnitOfWork, record: MapRecord, frames: MapFrames) -> list[_Side]
 
 def _until_next(submap: SubmapRecord, steps: list[tuple[SubmapRecord, SubmapRecord]]) -> tuple[float, float]:
     """The ordinals of the far ends of the steps before and behind a submap of the same drive, infinite without one."""
-    of_drive = [step for step in steps if _drive(step[0]) == _drive(submap)]
+    of_drive = [step for step in steps if step[0].key.session == submap.key.session]
     after = max((first.ordinal for first, last in of_drive if last.ordinal <= submap.ordinal), default=-math.inf)
     before = min((last.ordinal for first, last in of_drive if first.ordinal >= submap.ordinal), default=math.inf)
     return after, before
@@ -131,10 +130,6 @@ def _agreeing(
             ):
                 found.append((way_m, said))
     return min(found, key=lambda one: one[0])[1] if found else None
-
-
-def _drive(submap: SubmapRecord) -> SessionKey:
-    return SessionKey(submap.map_id, submap.session_id)
 
 
 def _apart_m(one: SubmapRecord, other: SubmapRecord) -> float:

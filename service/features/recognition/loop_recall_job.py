@@ -33,7 +33,7 @@ from revisit.service.features.index.place_memory import RecalledPlace
 from revisit.service.features.loops.claims import rules_of, unjudged, verdict_evidence
 from revisit.service.features.loops.rows import Change, LoopStanding, change_loop, decided_by_person
 from revisit.service.features.operations.progress import OperationCancelled, Progress
-from revisit.service.features.recognition.beside_faults import loops_beside_faults
+from revisit.service.features.recognition.beside_faults import LOOPS_AT_ONCE, loops_beside_faults
 from revisit.service.ports.job_context import JobContext
 from revisit.service.ports.job_queue import CANCELLED, Lease
 from revisit.service.ports.recogniser import PlaceRecogniser
@@ -53,9 +53,6 @@ MOST_RECALLED = 50
 SAME_M = 0.5
 SAME_RAD = np.radians(2.0)
 """A pair is tested again once its relative pose has moved by so much."""
-
-_PAGE = 500
-"""Loops, whose submaps are as many as may be asked for at once."""
 
 _ROUNDING_M = 1e-6
 
@@ -165,7 +162,7 @@ def _page(uow: UnitOfWork, policy: Policy, tenant: TenantId, map_id: str, after:
     record = uow.maps.get(tenant, map_id)
     if record is None or not record.map_version:
         return [], None
-    rejected = uow.loops.rejected(tenant, map_id, sorted(RECALLED_REASONS), after=after, limit=_PAGE)
+    rejected = uow.loops.rejected(tenant, map_id, sorted(RECALLED_REASONS), after=after, limit=LOOPS_AT_ONCE)
     frames, within_m = MapFrames(uow, tenant, map_id), policy.for_map(record).submap.tau
     placed = {
         number: T_match_query
@@ -178,7 +175,7 @@ def _page(uow: UnitOfWork, policy: Policy, tenant: TenantId, map_id: str, after:
         for number, loop in uow.loops.numbered(tenant, sorted(placed)).items()
         if _is_known(frames, loop, record) and not _was_tested(loop, placed[number])
     ]
-    return found, rejected[-1].number if len(rejected) == _PAGE else None
+    return found, rejected[-1].number if len(rejected) == LOOPS_AT_ONCE else None
 
 
 def _apart_m(placed: LoopInMap) -> float:

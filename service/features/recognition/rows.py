@@ -10,7 +10,6 @@ from revisit.core.acceptance import LoopClaim
 from revisit.core.config import VerificationConfig
 from revisit.core.errors import DescriptorModelMismatch
 from revisit.core.geometry.se3 import pose_row
-from revisit.service.domain.identity import SessionKey
 from revisit.service.domain.policy import Policy
 from revisit.service.domain.records import LoopRecord, MapRecord, SubmapRecord
 from revisit.service.domain.states import LoopEventKind, LoopState
@@ -162,7 +161,7 @@ class LoopCommit:
     def _decided(self, uow: UnitOfWork) -> int:
         """Accept the loops of the drive that have waited for this submap; how many."""
         own, stride_m = self.query.submap, self.policy.for_map(self.query.map).submap.stride
-        session = SessionKey(own.map_id, own.session_id)
+        session = own.key.session
         return accept_decided(uow, own.tenant, session, self.now_ns, Reached(station(own), stride_m))
 
     def _end(self, uow: UnitOfWork, result: dict[str, Any]) -> None:

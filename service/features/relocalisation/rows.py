@@ -16,7 +16,7 @@ from revisit.core.geometry.se3 import pose_matrix
 from revisit.core.pair_verdict import InitialPose, PairVerdict
 from revisit.core.relocalisation import PossiblePose
 from revisit.core.relocalisation.looking import StoredPlace
-from revisit.service.domain.identity import SessionKey, TenantId
+from revisit.service.domain.identity import TenantId
 from revisit.service.domain.records import MapRecord, SubmapRecord
 from revisit.service.features.graph.session_poses import PackedSubmaps
 from revisit.service.features.index.comparison import Comparison
@@ -161,7 +161,7 @@ class StoredPlaces:
     def _place(self, submap: SubmapRecord, in_map: StationInMap | None) -> StoredPlace:
         if in_map is not None:
             return StoredPlace(submap.number, station(submap), in_map)
-        frame = SessionKey(submap.map_id, submap.session_id).name
+        frame = submap.key.session.name
         self._sessions[frame] = submap.session_number
         own = StationInMap(frame, pose_matrix(submap.T_odom_submap))
         return StoredPlace(submap.number, station(submap), own, placed=False)
