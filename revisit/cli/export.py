@@ -30,6 +30,7 @@ FILES = (
     "ply",
     "pcd",
     "laz",
+    "copc",
     "mesh",
     "glb",
     "grid",
@@ -40,7 +41,7 @@ FILES = (
     "geojson",
 )
 
-SURFACES = ("ply", "pcd", "laz", "mesh", "glb", "grid", "mcap", "autoware")
+SURFACES = ("ply", "pcd", "laz", "copc", "mesh", "glb", "grid", "mcap", "autoware")
 """The formats with a surface, of which a later drive may have looked through a part."""
 
 Report = Callable[[str, int, int], None]
@@ -54,8 +55,8 @@ def export(
         str,
         typer.Option(
             "--format",
-            help="g2o, tum, csv, scans, kitti, ply, pcd, laz (cloud), mesh (ply), glb (mesh), grid, mcap, reference, "
-            "geojson (drives), autoware, 3dtiles (the last two write folders).",
+            help="g2o, tum, csv, scans, kitti, ply, pcd, laz, copc (cloud), mesh (ply), glb (mesh), grid, mcap, "
+            "reference, geojson (drives), autoware, 3dtiles (the last two write folders).",
         ),
     ] = "g2o",
     session_id: Annotated[str, typer.Option("--session", help="Only this session; tum and scans need one.")] = "",
@@ -73,28 +74,28 @@ def export(
         int,
         typer.Option(
             min=0,
-            help="laz: projected reference system, such as 25832. A map on earth is written in it (extra crs); of "
-            "another map it is the one that its frame is in.",
+            help="laz, copc: projected reference system, such as 25832. A map on earth is written in it (extra crs); "
+            "of another map it is the one that its frame is in.",
         ),
     ] = 0,
     http: Http = HTTP,
     json: Json = False,
 ) -> None:
     """Write a map: pose graph (g2o), loops (csv), a session's odometry (tum), every scan of its recording in the map
-    (scans, as tum), poses of submaps in the map (kitti), one cloud (ply, pcd, laz), one mesh (mesh, glb), an occupancy
-    grid (grid), poses and cloud for Foxglove (mcap), pairs of points for fleet adapters (reference), a folder with the
-    cloud in squares as Autoware loads it (autoware), one with the tiles of the surface for web viewers (3dtiles), or
-    the drives on earth (geojson). Poses are those of the version in force, or else optimised here. A map that anchors
-    hold lies on earth in autoware, 3dtiles and geojson, with --frame enu and with --epsg. Clouds, meshes, grids and
-    tiles show what the latest drive left, unless --as-of or --ever say otherwise.
+    (scans, as tum), poses of submaps in the map (kitti), one cloud (ply, pcd, laz; copc with extra crs), one mesh
+    (mesh, glb), an occupancy grid (grid), poses and cloud for Foxglove (mcap), pairs of points for fleet adapters
+    (reference), a folder with the cloud in squares as Autoware loads it (autoware), one with the tiles of the surface
+    for web viewers (3dtiles), or the drives on earth (geojson). Poses are those of the version in force, or else
+    optimised here. A map that anchors hold lies on earth in autoware, 3dtiles and geojson, with --frame enu and with
+    --epsg. Clouds, meshes, grids and tiles show what the latest drive left, unless --as-of or --ever say otherwise.
     """
     _require_fitting(file_format, session_id, recording, out)
     if (as_of or ever) and file_format in (*TEXTS, "scans"):
         raise refuse(f"--format {file_format} writes what was driven: --as-of and --ever are of surfaces and poses")
     if frame not in ("map", "enu"):
         raise refuse("--frame is map or enu")
-    if epsg and (file_format != "laz" or frame == "enu"):
-        raise refuse("--epsg is of --format laz, without --frame")
+    if epsg and (file_format not in ("laz", "copc") or frame == "enu"):
+        raise refuse("--epsg is of --format laz and copc, without --frame")
     try:
         if file_format == "scans" and recording is not None and out is not None:
             summary = _write_scans(out, http, (map_id, session_id), opened(recording, "auto", None, None, None, poses))
@@ -104,7 +105,7 @@ def export(
             asked = Asked(http, (map_id, session_id), epsg, frame, moment_ns(as_of), ever)
             summary = _write_file(file_format, out, asked)
     except ModuleNotFoundError as error:
-        raise refuse(what_is_missing("crs" if error.name == "pyproj" else "service", error)) from error
+        raise refuse(what_is_missing("crs" if error.name in ("pyproj", "copclib") else "service", error)) from error
     except BadField as error:
         raise refuse(error.message) from error
     if json and out is not None:
@@ -177,6 +178,7 @@ def _write_file(file_format: str, out: Path, asked: Asked) -> dict[str, Any]:
     with progress_bar(quiet=False) as bar:
         more: dict[str, Writer] = {
             "laz": partial(_write_cloud, kind="laz", epsg=epsg, earth=earth if epsg else None),
+            "copc": partial(_write_copc, epsg=epsg, earth=earth if epsg else None),
             "autoware": partial(_write_autoware, earth=earth),
             "geojson": partial(_write_geojson, earth=earth),
         }
@@ -236,6 +238,27 @@ def _write_cloud(
     cloud = merged_cloud(http, placed, report, ever=ever)
     points = cloud.points if earth is None else earth.projected(cloud.points, epsg)
     out.write_bytes(writers[kind](points, intensity=cloud.intensity))
+    return {"points": len(cloud.points)}
+
+
+def _write_copc(
+    out: Path,
+    http: str,
+    placed: list[PlacedSubmap],
+    report: Report,
+    epsg: int,
+    earth: OnEarth | None,
+    ever: bool = False,
+) -> dict[str, int]:
+    """One cloud in an octree; of a map on `earth` in the projected system `epsg`."""
+    from revisit.cli.map_files import merged_cloud
+    from revisit.formats import copc
+    from revisit.sdk.earth import wkt
+
+    system = wkt(epsg) if epsg else ""
+    cloud = merged_cloud(http, placed, report, ever=ever)
+    points = cloud.points if earth is None else earth.projected(cloud.points, epsg)
+    copc.write(out, points, system, cloud.intensity)
     return {"points": len(cloud.points)}
 
 

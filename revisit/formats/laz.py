@@ -13,16 +13,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from revisit.core.errors import BadField
+from revisit.formats.las import SCALE_M, Millimetres, levels
 
 MEDIA_TYPE = "application/vnd.laszip"
-SCALE_M = 0.001
 
 _HEADER_BYTES, _POINT_BYTES = 227, 20
 _COMPRESSED = 0x80
 _GEO_KEYS = 34735
 _MODEL_PROJECTED, _PROJECTED_CRS = (1024, 0, 1, 1), 3072
 _EPSG = range(1024, 32767)
-_INT32, _UINT16 = np.iinfo(np.int32), np.iinfo(np.uint16)
 
 
 def encode(
@@ -32,59 +31,45 @@ def encode(
 
     The `intensity` (n,) is written in 16 bits, as the format has it: 0 to 1, or 0 to 255, become 0 to 65535.
 
-    Needs the package `lazrs`. Raises BadField for other shapes, for numbers that are not finite, for a cloud wider than
-    4,000 km and for another number of a system.
+    Needs the package `lazrs`. Raises BadField as `Millimetres.of`, and for another number of a system.
     """
     import lazrs
 
-    if points.ndim != 2 or points.shape[1] != 3 or not len(points) or not np.isfinite(points).all():
-        raise BadField("points must be (n, 3), finite, and at least one", field="points")
     if epsg is not None and epsg not in _EPSG:
         raise BadField("the EPSG number of a projected system is 1024 to 32766", field="epsg")
-    offset = np.floor(points.astype(np.float64).mean(axis=0))
-    rows, counts = _rows(points, intensity, offset)
+    stored = Millimetres.of(points)
     packing = lazrs.LazVlr.new_for_compression(0, 0)
     records = [] if epsg is None else [_record("LASF_Projection", _GEO_KEYS, _geo_keys(epsg))]
     records.append(_record("laszip encoded", 22204, bytes(packing.record_data())))
-    header = _header(counts * SCALE_M + offset, len(points), offset, records)
+    header = _header(stored, records)
     stream = io.BytesIO()
     stream.write(header + b"".join(records))
     compressor = lazrs.LasZipCompressor(stream, packing)
-    compressor.compress_many(rows)
+    compressor.compress_many(_rows(stored, intensity))
     compressor.done()
     return stream.getvalue()
 
 
-def _rows(
-    points: NDArray[np.floating], intensity: NDArray[np.floating] | None, offset: NDArray[np.float64]
-) -> tuple[bytes, NDArray[np.float64]]:
-    """The points as point records of format 0, and their coordinates (n, 3) in millimetres from `offset`."""
-    counts = np.round((points.astype(np.float64) - offset) / SCALE_M)
-    if np.abs(counts).max() > _INT32.max:
-        raise BadField("a LAZ file holds at most 4,000 km across", field="points")
-    rows = np.zeros(len(points), dtype=[("xyz", "<i4", 3), ("intensity", "<u2"), ("rest", "u1", _POINT_BYTES - 14)])
-    rows["xyz"] = counts
+def _rows(stored: Millimetres, intensity: NDArray[np.floating] | None) -> bytes:
+    """The points as point records of format 0."""
+    rows = np.zeros(
+        len(stored.counts), dtype=[("xyz", "<i4", 3), ("intensity", "<u2"), ("rest", "u1", _POINT_BYTES - 14)]
+    )
+    rows["xyz"] = stored.counts
     if intensity is not None:
-        rows["intensity"] = _levels(intensity)
+        rows["intensity"] = levels(intensity)
     rows["rest"][:, 0] = 0b00001001  # the first return of one
-    return rows.tobytes(), counts
+    return rows.tobytes()
 
 
-def _levels(intensity: NDArray[np.floating]) -> NDArray[np.float64]:
-    """An intensity in steps of 16 bits: LAS has it as a share of the sensor's range, 1, 255 or 65535."""
-    largest = float(intensity.max(initial=0.0))
-    span = next((one for one in (1.0, 255.0) if largest <= one), float(_UINT16.max))
-    return np.clip(np.rint(intensity.astype(np.float64) * (_UINT16.max / span)), 0, _UINT16.max)
-
-
-def _header(stored: NDArray[np.float64], count: int, offset: NDArray[np.float64], records: list[bytes]) -> bytes:
-    """The public header block of LAS 1.2 for `count` points, of which `stored` (n, 3) are the coordinates."""
-    low, high = stored.min(axis=0), stored.max(axis=0)
+def _header(stored: Millimetres, records: list[bytes]) -> bytes:
+    """The public header block of LAS 1.2."""
+    (low, high), count = stored.bounds(), len(stored.counts)
     start = _HEADER_BYTES + sum(map(len, records))
     return struct.pack(
         "<4sHH16sBB32s32sHHHIIBHI5I3d3d6d",
         b"LASF", 0, 0, bytes(16), 1, 2, b"OTHER", b"revisit", 0, 0, _HEADER_BYTES, start, len(records),
-        _COMPRESSED, _POINT_BYTES, count, count, 0, 0, 0, 0, *[SCALE_M] * 3, *offset,
+        _COMPRESSED, _POINT_BYTES, count, count, 0, 0, 0, 0, *[SCALE_M] * 3, *stored.offset,
         high[0], low[0], high[1], low[1], high[2], low[2],
     )  # fmt: skip
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +12,9 @@ from numpy.typing import NDArray
 from revisit.core.errors import BadField
 from revisit.core.geometry import geodesy, se3
 from revisit.core.geometry.se3 import Matrix4
+
+if TYPE_CHECKING:
+    from pyproj import CRS
 
 
 @dataclass(frozen=True)
@@ -55,24 +59,40 @@ class OnEarth:
         Needs the package `pyproj` (extra `crs`). Raises BadField where there is no such system of east and north, or
         it does not reach so far.
         """
-        from pyproj import CRS, Transformer
-        from pyproj.exceptions import CRSError
+        from pyproj import Transformer
 
-        try:
-            system = CRS.from_epsg(epsg)
-        except CRSError as error:
-            raise BadField(f"there is no reference system EPSG:{epsg}", field="epsg") from error
-        if not system.is_projected or {axis.unit_name for axis in system.axis_info} != {"metre"}:
-            raise BadField(f"EPSG:{epsg} ({system.name}) is no projected system in metres", field="epsg")
-        if system.is_compound:
-            plain = system.sub_crs_list[0].to_epsg()
-            message = f"EPSG:{epsg} ({system.name}) has heights of its own, and a map has those above the ellipsoid"
-            raise BadField(f"{message}: give EPSG:{plain}" if plain else message, field="epsg")
-        if "west" in {axis.direction for axis in system.axis_info}:
-            raise BadField(f"EPSG:{epsg} ({system.name}) counts to the west and the south", field="epsg")
+        system = _system(epsg)
         latitude, longitude, altitude = geodesy.geodetic_of_enu(self.origin, se3.apply(self.T_enu_map, points)).T
         east, north = Transformer.from_crs("EPSG:4326", system, always_xy=True).transform(longitude, latitude)
         found = np.column_stack([east, north, altitude])
         if not np.isfinite(found).all():
             raise BadField(f"EPSG:{epsg} ({system.name}) does not reach this map", field="epsg")
         return found
+
+
+def wkt(epsg: int) -> str:
+    """The projected reference system in the words of OGC 01-009, as files of LAS 1.4 name it.
+
+    Needs the package `pyproj` (extra `crs`). Raises BadField where there is no such system of east and north.
+    """
+    return str(_system(epsg).to_wkt("WKT1_GDAL"))
+
+
+def _system(epsg: int) -> CRS:
+    """The projected system of east and north, metres. Raises BadField."""
+    from pyproj import CRS
+    from pyproj.exceptions import CRSError
+
+    try:
+        system = CRS.from_epsg(epsg)
+    except CRSError as error:
+        raise BadField(f"there is no reference system EPSG:{epsg}", field="epsg") from error
+    if not system.is_projected or {axis.unit_name for axis in system.axis_info} != {"metre"}:
+        raise BadField(f"EPSG:{epsg} ({system.name}) is no projected system in metres", field="epsg")
+    if system.is_compound:
+        plain = system.sub_crs_list[0].to_epsg()
+        message = f"EPSG:{epsg} ({system.name}) has heights of its own, and a map has those above the ellipsoid"
+        raise BadField(f"{message}: give EPSG:{plain}" if plain else message, field="epsg")
+    if "west" in {axis.direction for axis in system.axis_info}:
+        raise BadField(f"EPSG:{epsg} ({system.name}) counts to the west and the south", field="epsg")
+    return system

@@ -79,7 +79,8 @@ def test_a_system_of_another_side_of_the_earth_is_refused():
         OnEarth((0.0, -81.0, 0.0), np.eye(4)).projected(np.zeros((1, 3)), 25832)
 
 
-def test_a_cloud_is_exported_in_the_system_and_names_it(monkeypatch, tmp_path):
+@pytest.mark.parametrize("form", ["laz", "copc"])
+def test_a_cloud_is_exported_in_the_system_and_names_it(monkeypatch, tmp_path, form):
     """Read back by laspy, which takes the system from the file."""
     points, earth = np.random.default_rng(1).uniform(0.0, 50.0, (200, 3)), OnEarth((48.1, 11.5, 520.0), TURNED)
     placed = [PlacedSubmap("maps/site/sessions/a/submaps/1", 0, np.eye(4), "f")]
@@ -87,14 +88,26 @@ def test_a_cloud_is_exported_in_the_system_and_names_it(monkeypatch, tmp_path):
     monkeypatch.setattr(map_files, "merged_cloud", lambda *_, ever: MergedCloud(points, None))
     monkeypatch.setattr(earths, "frame_on_earth", lambda *_: earth)
     out = tmp_path / "site.laz"
-    asked = ["export", "--map", "site", "--format", "laz", "--out", str(out), "--epsg"]
+    asked = ["export", "--map", "site", "--format", form, "--out", str(out), "--epsg"]
     assert CliRunner().invoke(app, [*asked, "25832"]).exit_code == 0
     stored = laspy.read(out)
     assert stored.header.parse_crs().to_epsg() == 25832
-    assert np.abs(stored.xyz - earth.projected(points, 25832)).max() < 0.001
+    order, expected = (np.lexsort(np.round(one, 2).T) for one in (stored.xyz, earth.projected(points, 25832)))
+    assert np.abs(stored.xyz[order] - earth.projected(points, 25832)[expected]).max() < 0.001
     monkeypatch.setattr(map_files, "merged_cloud", lambda *_, ever: pytest.fail("hours of a large map"))
     refused = CliRunner().invoke(app, [*asked, "4326"])
     assert refused.exit_code == 1 and "no projected system" in refused.output
+
+
+def test_copc_without_its_package_says_so_before_the_cloud_is_made(monkeypatch, tmp_path):
+    placed = [PlacedSubmap("maps/site/sessions/a/submaps/1", 0, np.eye(4), "f")]
+    monkeypatch.setattr(map_files, "placed_submaps", lambda *_: placed)
+    monkeypatch.setattr(map_files, "merged_cloud", lambda *_, ever: pytest.fail("hours of a large map"))
+    monkeypatch.setitem(sys.modules, "copclib", None)
+    monkeypatch.delitem(sys.modules, "revisit.formats.copc", raising=False)
+    monkeypatch.delattr("revisit.formats.copc", raising=False)
+    refused = CliRunner().invoke(app, ["export", "--map", "site", "--format", "copc", "--out", str(tmp_path / "a.laz")])
+    assert refused.exit_code == 1 and "revisit-loops[crs]" in refused.output.replace("\n", "")
 
 
 def test_without_the_package_the_error_names_it(monkeypatch):

@@ -1,0 +1,94 @@
+"""Clouds as COPC: LAZ 1.4 in an octree, of which a viewer loads the part and the detail that it shows; written only.
+
+Each node holds one point in each cell of a grid of its cube, 128 to a side; its children hold the others, in cells of
+half the size. A node whose points are few keeps them all. Needs the package `copclib` (extra `crs`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import copclib
+import numpy as np
+from numpy.typing import NDArray
+
+from revisit.formats.las import SCALE_M, Millimetres, levels
+
+CELLS = 128
+"""Along the side of a node's cube."""
+
+FEW_POINTS = 4096
+"""So many points are not divided further."""
+
+_FORMAT = 6
+_ROW = np.dtype(
+    [("xyz", "<i4", 3), ("intensity", "<u2"), ("returns", "u1"), ("rest", "u1", 5), ("source", "<u2"), ("time", "<f8")]
+)
+_FIRST_OF_ONE = 0x11
+
+Node = tuple[int, int, int, int]
+"""Depth, then the place of the cube along x, y and z among those of its depth."""
+
+
+def write(
+    path: Path, points: NDArray[np.floating], wkt: str = "", intensity: NDArray[np.floating] | None = None
+) -> None:
+    """Write points (n, 3) in metres; `wkt` describes their reference system, and `intensity` is (n,).
+
+    Raises BadField as `Millimetres.of`.
+    """
+    stored = Millimetres.of(points)
+    low, high = stored.bounds()
+    scale = copclib.Vector3(*[SCALE_M] * 3)
+    config = copclib.CopcConfigWriter(_FORMAT, scale, copclib.Vector3(*stored.offset), wkt)
+    config.las_header.min, config.las_header.max = copclib.Vector3(*low), copclib.Vector3(*high)
+    half_m = CELLS * _cell(stored.counts) * SCALE_M / 2
+    info = config.copc_info
+    info.center_x, info.center_y, info.center_z = (float(least) + half_m for least in low)
+    info.halfsize, info.spacing = half_m, 2 * half_m / CELLS
+    rows = _rows(stored, intensity)
+    writer = copclib.FileWriter(str(path), config)
+    for node, chosen in octree(stored.counts):
+        writer.AddNode(copclib.VoxelKey(*node), copclib.VectorChar(rows[chosen].view(np.int8)))
+    writer.Close()
+
+
+def octree(counts: NDArray[np.int32]) -> Iterator[tuple[Node, NDArray[np.intp]]]:
+    """The nodes of points (n, 3) in whole steps, each with the rows of its points; a parent comes before its children.
+
+    The cube of the root begins at the least coordinates and is a step wider than the widest side.
+    """
+    from_corner = counts.astype(np.int64) - counts.min(axis=0)
+    cell = _cell(counts)
+    left, depth = np.random.default_rng(0).permutation(len(counts)), 0
+    while len(left):
+        cells = (from_corner[left] / cell).astype(np.int64)
+        cubes, cube, population = np.unique(_key(cells // CELLS), return_inverse=True, return_counts=True)
+        taken = (population[cube] <= FEW_POINTS) | (cell <= 1)
+        taken[np.unique(_key(cells), return_index=True)[1]] = True
+        for number in range(len(cubes)):
+            rows = np.flatnonzero(taken & (cube == number))
+            x, y, z = (cells[rows[0]] // CELLS).tolist()
+            yield (depth, x, y, z), left[rows]
+        left, depth, cell = left[~taken], depth + 1, cell / 2
+
+
+def _cell(counts: NDArray[np.int32]) -> float:
+    """The side of a cell of the root, in steps."""
+    return max(1.0, (float(np.ptp(counts.astype(np.int64), axis=0).max()) + 1.0) / CELLS)
+
+
+def _key(cells: NDArray[np.int64]) -> NDArray[np.int64]:
+    """One number a cell (n, 3): 21 bits a direction."""
+    key: NDArray[np.int64] = (cells[:, 0] << 42) | (cells[:, 1] << 21) | cells[:, 2]
+    return key
+
+
+def _rows(stored: Millimetres, intensity: NDArray[np.floating] | None) -> NDArray[np.void]:
+    """The points as point records of format 6."""
+    rows = np.zeros(len(stored.counts), dtype=_ROW)
+    rows["xyz"], rows["returns"] = stored.counts, _FIRST_OF_ONE
+    if intensity is not None:
+        rows["intensity"] = levels(intensity)
+    return rows
