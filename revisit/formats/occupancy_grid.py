@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -71,6 +71,40 @@ def grid_of(points: NDArray[np.floating], options: GridOptions = GridOptions()) 
     cells[places[standing, 1], places[standing, 0]] = OCCUPIED
     corner = low * options.resolution_m
     return OccupancyGrid(np.ascontiguousarray(cells[::-1]), (float(corner[0]), float(corner[1])), options.resolution_m)
+
+
+def without_gone(
+    grid: OccupancyGrid, ever: NDArray[np.floating], now: NDArray[np.floating], voxel_m: float
+) -> OccupancyGrid:
+    """A grid without the obstacles of its drives that no longer stand.
+
+    `ever` (n, 3) and `now` (m, 3) are points of the surface of the same map, one in a voxel: all that was ever there,
+    and that which the latest drive left. An obstacle is gone where the first has one within a voxel and the second
+    none; its cell is then free, or unknown where the second has nothing. Raises as `grid_of`.
+    """
+    rows, columns = np.nonzero(grid.cells == OCCUPIED)
+    if not len(rows) or not len(ever) or not len(now):
+        return grid
+    centres = np.column_stack([columns + 0.5, len(grid.cells) - rows - 0.5]) * grid.resolution_m + grid.origin
+    options = GridOptions(resolution_m=voxel_m)
+    stood, left = (_around(grid_of(points, options), centres) for points in (ever, now))
+    gone = (stood == OCCUPIED).any(axis=1) & (left != OCCUPIED).all(axis=1)
+    cells = grid.cells.copy()
+    seen = (left[gone] == FREE).any(axis=1)
+    cells[rows[gone], columns[gone]] = np.where(seen, FREE, UNKNOWN)
+    return replace(grid, cells=cells)
+
+
+def _around(grid: OccupancyGrid, places: NDArray[np.float64]) -> NDArray[np.uint8]:
+    """The cells (n, 9) at and around `places` (n, 2), metres; outside of the grid nothing is known."""
+    cells = np.pad(grid.cells[::-1], 1, constant_values=UNKNOWN)
+    at = np.floor((places - grid.origin) / grid.resolution_m).astype(np.int64) + 1
+    steps = np.array([(column, row) for column in (-1, 0, 1) for row in (-1, 0, 1)])
+    columns, rows = np.moveaxis(at[:, None] + steps, -1, 0)
+    last = np.array(cells.shape) - 1
+    outside = (columns < 0) | (rows < 0) | (columns > last[1]) | (rows > last[0])
+    found = cells[np.clip(rows, 0, last[0]), np.clip(columns, 0, last[1])]
+    return np.where(outside, UNKNOWN, found).astype(np.uint8)
 
 
 def _ground_under(points: NDArray[np.floating]) -> NDArray[np.float64]:

@@ -50,15 +50,20 @@ class Messages:
 
     def cloud(
         self, points: np.ndarray, stamp_ns: int, frame: str, *, rows: int = 1, padding: int = 0, big: bool = False,
-        offsets_ns: np.ndarray | None = None,
+        offsets_ns: np.ndarray | None = None, intensity: np.ndarray | None = None,
     ):  # fmt: skip
-        """x, y, z, a time where it is given, and a ring number a point, in `rows` rows with `padding` behind each."""
+        """x, y, z, a time and an intensity where they are given, and a ring number a point, in `rows` rows with
+        `padding` behind each.
+        """
         order = ">" if big else "<"
-        kind = np.dtype({"names": ["x", "y", "z", "t", "ring"], "formats": [f"{order}f4"] * 3 + [f"{order}u4", "u1"],
-                         "offsets": [0, 4, 8, 12, 16], "itemsize": 20})  # fmt: skip
+        kind = np.dtype({"names": ["x", "y", "z", "t", "ring", "intensity"],
+                         "formats": [f"{order}f4"] * 3 + [f"{order}u4", "u1", f"{order}f4"],
+                         "offsets": [0, 4, 8, 12, 16, 20], "itemsize": 24})  # fmt: skip
         records = np.zeros(len(points), kind)
         if offsets_ns is not None:
             records["t"] = offsets_ns
+        if intensity is not None:
+            records["intensity"] = intensity
         for index, name in enumerate("xyz"):
             records[name] = points[:, index]
         width = len(points) // rows
@@ -66,10 +71,11 @@ class Messages:
         field = self.types["sensor_msgs/msg/PointField"]
         fields = [field(name=name, offset=4 * index, datatype=7, count=1) for index, name in enumerate("xyz")]
         fields += [] if offsets_ns is None else [field(name="t", offset=12, datatype=6, count=1)]
+        fields += [] if intensity is None else [field(name="intensity", offset=20, datatype=7, count=1)]
         message = self.types["sensor_msgs/msg/PointCloud2"](
             header=self.header(stamp_ns, frame), height=rows, width=width,
-            fields=[*fields, field(name="ring", offset=16, datatype=2, count=1)], is_bigendian=big, point_step=20,
-            row_step=20 * width + padding, data=np.frombuffer(data, np.uint8), is_dense=False,
+            fields=[*fields, field(name="ring", offset=16, datatype=2, count=1)], is_bigendian=big, point_step=24,
+            row_step=24 * width + padding, data=np.frombuffer(data, np.uint8), is_dense=False,
         )  # fmt: skip
         return self.sent(message, "sensor_msgs/msg/PointCloud2")
 

@@ -181,7 +181,7 @@ class Bridge:
         try:
             points = self._points(posed)
             if self._relocaliser is not None:
-                self._relocaliser.offer(points, posed.T_odom_sensor)
+                self._relocaliser.offer(points[:, :3], posed.T_odom_sensor)
             self._outbox.send(points, posed.T_odom_sensor, posed.stamp_ns)
         except RevisitError as error:
             self._complain(error.message)
@@ -189,16 +189,17 @@ class Bridge:
         self._refused.clear()
 
     def _points(self, posed: PosedCloud) -> Points:
-        """The points (n, 3) in the sensor's frame. Clouds that are registered in the odometry's frame are taken back.
+        """The points (n, 3) in the sensor's frame, or (n, 4) with their intensity, where that is to be sent.
 
-        Raises RevisitError.
+        Clouds that are registered in the odometry's frame are taken back. Raises RevisitError.
         """
         if posed.sensor_frame != self.odom_frame:
-            return points_of(posed.cloud, posed.motion)
-        points = points_of(posed.cloud)
+            return points_of(posed.cloud, posed.motion, intensity=self._parameters.intensity)
+        points = points_of(posed.cloud, intensity=self._parameters.intensity)
         if self._odometry is None:
             raise RevisitError(f"the clouds are registered in {self.odom_frame}: give those of the sensor")
-        return se3.apply(se3.inverse(posed.T_odom_sensor), points.astype(np.float64)).astype(np.float32)
+        here = se3.apply(se3.inverse(posed.T_odom_sensor), points[:, :3].astype(np.float64))
+        return np.column_stack([here, points[:, 3:]]).astype(np.float32)
 
     def _remember(self, scan: LastScan) -> None:
         self._journey.last = scan

@@ -15,10 +15,11 @@ from numpy.typing import NDArray
 
 from revisit.core.errors import RevisitError
 from revisit.core.geometry import se3
+from revisit.core.geometry.tile_grid import TILE_VOXELS
 from revisit.core.geometry.voxel_keys import first_rows, voxel_keys
 from revisit.formats import npy
 from revisit.formats.cloud import DEFAULT_LIMITS
-from revisit.formats.occupancy_grid import GridOptions, OccupancyGrid, grid_of
+from revisit.formats.occupancy_grid import GridOptions, OccupancyGrid, grid_of, without_gone
 from revisit.sdk.client import Client
 from revisit.sdk.errors import ApiError
 from revisit.sdk.resources import SubmapPose
@@ -46,6 +47,14 @@ class MapGrid:
         return described
 
 
+@dataclass(frozen=True)
+class MapSurface:
+    """Points (n, 3) of the surface of a version in one of its frames, one in a voxel of `voxel_m`."""
+
+    points: NDArray[np.floating]
+    voxel_m: float
+
+
 class MapSource(Protocol):
     """Where submaps and their poses come from."""
 
@@ -57,6 +66,9 @@ class MapSource(Protocol):
 
     def points(self, submap: str) -> NDArray[np.floating]:
         """The points (n, 3) of a submap in its own frame. Raises ApiError, MalformedBody."""
+
+    def surface(self, version: int, frame: str, *, ever: bool) -> MapSurface:
+        """What the latest drive left, or all that was `ever` there. Raises ApiError, MalformedBody."""
 
 
 @dataclass(frozen=True)
@@ -78,13 +90,27 @@ class ServiceMap:
         """See MapSource."""
         return npy.decode(self.client.submaps.download(submap, "npy"), DEFAULT_LIMITS).points
 
+    def surface(self, version: int, frame: str, *, ever: bool) -> MapSurface:
+        """See MapSource."""
+        found, voxel_m = [np.zeros((0, 3), np.float32)], 0.0
+        for tile in self.client.versions.tiles(f"{self.map_name}/versions/{version}"):
+            if tile.frame == frame:
+                voxel_m = (tile.max_m[0] - tile.min_m[0]) / TILE_VOXELS
+                file = self.client.versions.download_tile(tile, "npy", ever=ever)
+                found.append(npy.decode(file, DEFAULT_LIMITS).points)
+        return MapSurface(np.concatenate(found), voxel_m)
+
 
 @dataclass
 class MapGrids:
-    """Makes grids in a thread of its own. Each submap is downloaded once, and kept thinned."""
+    """Makes grids in a thread of its own. Each submap is downloaded once, and kept thinned.
+
+    An obstacle that a later drive looked through is left out, unless `ever`.
+    """
 
     source: MapSource
     resolution_m: float
+    ever: bool = False
     _made: MapGrid | None = None
     _told: int = 0
     _points: dict[str, NDArray[np.float64]] = field(default_factory=dict)
@@ -136,7 +162,19 @@ class MapGrids:
         self._points = {pose.submap: self._points[pose.submap] for pose in placed}
         if clouds:
             grid = grid_of(np.concatenate(clouds), GridOptions(resolution_m=self.resolution_m))
+            several = len({pose.submap.partition("/submaps/")[0] for pose in placed}) > 1
+            if several and not self.ever:
+                grid = self._of_now(grid, version, frame)
             self._made = MapGrid(version, frame, grid)
+
+    def _of_now(self, grid: OccupancyGrid, version: int, frame: str) -> OccupancyGrid:
+        """A grid without what is gone; as it is where the service does not tell that."""
+        try:
+            now, ever = (self.source.surface(version, frame, ever=ever) for ever in (False, True))
+        except (ApiError, RevisitError) as error:
+            log.warning("the grid of version %d keeps what may be gone: %s", version, error.message)
+            return grid
+        return without_gone(grid, ever.points, now.points, now.voxel_m)
 
     def _cloud(self, submap: str) -> NDArray[np.float64]:
         if submap not in self._points:

@@ -102,7 +102,8 @@ class BridgeParts:
         self._broadcaster = TransformBroadcaster(self)
         self._correction: Correction | None = None
         self._corrected_session = ""
-        self.grids = MapGrids(ServiceMap(self._client, f"maps/{self.parameters.map_id}"), self.parameters.grid_m)
+        source = ServiceMap(self._client, f"maps/{self.parameters.map_id}")
+        self.grids = MapGrids(source, self.parameters.grid_m, self.parameters.grid_ever)
         self._publish()
         self.bridge.start()
 

@@ -40,6 +40,7 @@ class Parameters:
     send: str = _parameter(
         "described", "scans that are sent: `described`, one each one or two metres, or `all`, standing still, too"
     )
+    intensity: bool = _parameter(False, "send the intensity of the points, too: 1.5 to 2 times the bytes")
     max_jump_m: float = _parameter(5.0, "metres that the odometry may jump at any speed; beyond, a new session begins")
     max_speed_m_s: float = _parameter(40.0, "fastest speed of the robot; what is faster is a jump")
     max_gap_s: float = _parameter(10.0, "seconds without scans after which a new session begins")
@@ -48,6 +49,11 @@ class Parameters:
         0.0, "metres of a cell of the map that is published; 0: none is made. Each submap is downloaded once for it"
     )
     grid_every_s: float = _parameter(10.0, "seconds between two looks for a new version of the map, with `grid_m`")
+    grid_ever: bool = _parameter(
+        False,
+        "keep in the published map what a later drive looked through; else workers make the tiles of each version of a "
+        "map of several sessions twice",
+    )
     map_folder: str = _parameter("", "folder that `save_map` writes to; empty: ~/.revisit/maps")
     publish_tf: bool = _parameter(True, "publish `map_frame` -> `odom_frame` once the service has placed the session")
     tf_tolerance_s: float = _parameter(0.5, "seconds that the published transform is dated ahead")

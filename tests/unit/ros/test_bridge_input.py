@@ -7,8 +7,10 @@ import pytest
 
 pytest.importorskip("rosbags", reason="in the extra `dev`: gives the messages' types")
 
+from revisit_bridge.bridge import Bridge
 from revisit_bridge.messages import points_of, pose_of
 from revisit_bridge.pairing import OdometryPoses, TransformPoses, Unknown, WaitingClouds
+from revisit_bridge.parameters import Parameters
 
 from revisit.core.errors import BadTransform, RevisitError
 from revisit.core.geometry import se3
@@ -36,6 +38,20 @@ def mounted(target: str, source: str, stamp: int):
 def test_points_are_read_whatever_the_layout(ros, layout) -> None:
     points = np.random.default_rng(1).uniform(-30, 30, (400, 3)).astype(np.float32)
     assert np.array_equal(points_of(ros.cloud(points, SECOND, "lidar", **layout)), points)
+
+
+def test_intensity_is_read_where_it_is_asked_for(ros) -> None:
+    points, told = np.arange(18, dtype=np.float32).reshape(6, 3) - 3.0, np.arange(6, dtype=np.float32)
+    points[1] = 0.0
+    cloud = ros.cloud(points, SECOND, "lidar", intensity=told)
+    assert points_of(cloud).shape == (5, 3)
+    assert np.array_equal(points_of(cloud, intensity=True), np.column_stack([points, told])[[0, 2, 3, 4, 5]])
+
+
+@pytest.mark.parametrize("wrong", [None, 0.0, -1.0, np.nan, 7e4], ids=str)
+def test_an_intensity_that_cannot_be_used_costs_no_scan(ros, wrong) -> None:
+    told = None if wrong is None else np.full(6, wrong, np.float32)
+    assert points_of(ros.cloud(np.ones((6, 3)), SECOND, "lidar", intensity=told), intensity=True).shape == (6, 3)
 
 
 def test_points_that_did_not_come_back_are_left_out(ros) -> None:
@@ -164,3 +180,33 @@ def test_a_cloud_without_a_pose_is_left_out_in_time_and_counted(ros) -> None:
     assert clouds.left_out == 2  # there was no room for them
     clock[0] = 2.1
     assert clouds.ready() == [] and clouds.left_out == 5
+
+
+class SentScans(list):
+    """An outbox that keeps the points of the scans that it is given."""
+
+    lost, session_ids = None, frozenset()
+
+    def resume(self, _session_id: str) -> bool:
+        return False
+
+    def begin(self, _session_id: str) -> None:
+        pass
+
+    def close(self) -> None:
+        pass
+
+    def send(self, points: np.ndarray, *_: object) -> None:
+        self.append(points)
+
+
+@pytest.mark.parametrize(("intensity", "columns"), [(False, 3), (True, 4)])
+def test_the_bridge_sends_intensity_where_the_parameter_asks_for_it(ros, tmp_path, intensity, columns) -> None:
+    own, sent = Parameters(odometry_topic="odometry", intensity=intensity), SentScans()
+    bridge = Bridge(own, mounted, sent, None, "boot", tmp_path / "last.json", lambda: 0.0)
+    for stamp, of_frame in ((SECOND, "lidar"), (2 * SECOND, "odom")):  # of the sensor, and registered by odometry
+        bridge.take_cloud(ros.cloud(np.ones((50, 3)), stamp, of_frame, intensity=np.full(50, 9.0)))
+        bridge.take_odometry(ros.odometry(se3.from_yaw(0.0, (1.0, 0.0, 0.0)), stamp))
+    assert [points.shape for points in sent] == 2 * [(50, columns)]
+    assert np.unique(sent[1][:, 0]) == [0.0] and (not intensity or np.unique(sent[1][:, 3]) == [9.0])
+    bridge.close()

@@ -7,11 +7,12 @@ import pytest
 
 pytest.importorskip("rosbags", reason="in the extra `dev`: gives the messages' types")
 
-from revisit_bridge.map_grid import MapGrids, ServiceMap
+from revisit_bridge.map_grid import MapGrids, MapSurface, ServiceMap
 from revisit_bridge.publishing import MessageTypes, grid_message
 
 from revisit import Client
 from revisit.core.geometry import se3
+from revisit.sdk.errors import ApiError, ErrorDetails
 from revisit.sdk.resources import SubmapPose
 from tests.support.live_service import live_service
 from tests.support.page_town import EACH_BY_ITSELF, fill
@@ -29,7 +30,7 @@ class Yard:
     """Two submaps of the robot, one of another frame; each is a floor of 1 m with a post in its middle."""
 
     def __init__(self) -> None:
-        self.now, self.asked = 0, []
+        self.now, self.asked, self.refused = 0, [], False
         self.placed = [at(f"{OWN}/submaps/a", 0.0), at(f"{OTHER}/submaps/x", 50.0, "frame-2")]
 
     def version(self) -> int:
@@ -42,6 +43,14 @@ class Yard:
         self.asked.append(submap)
         floor = np.stack(np.meshgrid(np.arange(0.05, 1, 0.1), np.arange(0.05, 1, 0.1), [0.0]), -1).reshape(-1, 3)
         return np.vstack([floor, [(0.55, 0.55, height) for height in (0.5, 1.0, 1.5)]]).astype(np.float32)
+
+    def surface(self, version: int, frame: str, *, ever: bool) -> MapSurface:
+        """Of now the post of the first metre is gone."""
+        if self.refused:
+            raise ApiError(ErrorDetails("DEADLINE_EXCEEDED", "NO_ANSWER", "no worker made the tile"))
+        floor = [(x, 0.5, 0.0) for x in np.arange(0.2, 4.0, 0.4)]
+        posts = [0.5, 2.5] if ever else [2.5]
+        return MapSurface(np.array([*floor, *((x, 0.6, 1.0) for x in posts)]), 0.4)
 
 
 def followed(grids: MapGrids, version: int):
@@ -69,6 +78,30 @@ def test_a_grid_is_made_for_each_version_and_told_once() -> None:
     assert followed(grids, 2).grid.cells.shape == (10, 20)
     assert yard.asked == [f"{OWN}/submaps/a", f"{OWN}/submaps/b"], "a submap is downloaded once"
     grids.close()
+
+
+def obstacles(grids: MapGrids) -> list[float]:
+    """Where obstacles stand, metres along x."""
+    grid = followed(grids, 1).grid
+    return ((np.nonzero(grid.cells == 0)[1] + 0.5) * grid.resolution_m + grid.origin[0]).round(6).tolist()
+
+
+def test_an_obstacle_that_a_later_drive_looked_through_leaves_the_grid() -> None:
+    yard = Yard()
+    yard.now, yard.placed = 1, [at(f"{OWN}/submaps/a", 0.0), at(f"{OTHER}/submaps/x", 2.0)]
+    grids = MapGrids(yard, 0.1)
+    assert obstacles(grids) == [2.55]
+    assert (followed(grids, 1).grid.cells == 254).sum() == 199, "the cell of the post is free"
+    assert obstacles(MapGrids(yard, 0.1, ever=True)) == [0.55, 2.55]
+
+
+def test_a_grid_keeps_what_the_service_does_not_judge() -> None:
+    yard = Yard()
+    yard.now, yard.placed = 1, [at(f"{OWN}/submaps/a", 0.0), at(f"{OTHER}/submaps/x", 2.0)]
+    yard.refused = True
+    assert obstacles(MapGrids(yard, 0.1)) == [0.55, 2.55]
+    yard.refused, yard.placed = False, [at(f"{OWN}/submaps/a", 0.0), at(f"{OWN}/submaps/b", 2.0)]
+    assert obstacles(MapGrids(yard, 0.1)) == [0.55, 2.55], "a drive says nothing against its own points"
 
 
 def test_the_message_has_its_rows_from_the_bottom_and_says_where_it_lies() -> None:
