@@ -142,9 +142,9 @@ def command_line() -> str:
         ),
         (
             "One address for all commands: `--http http://HOST:PORT`, or HOST for port 8080, or the variable "
-            "REVISIT_HTTP; by default this machine. Commands that stream find the gRPC side on port 8090 of the same "
-            "host. Where the service has other ports, `--grpc HOST:PORT` or REVISIT_GRPC names it. Options go before "
-            "variables."
+            "REVISIT_HTTP; by default this machine. Commands that stream ask the service there for its gRPC side; "
+            "beside port 8080 of one that does not answer they take port 8090. `--grpc HOST:PORT` or REVISIT_GRPC "
+            "names another. Options go before variables."
         ),
     ]
     for name, command in commands_of(group, "revisit"):

@@ -22,7 +22,8 @@ from revisit.service.features.upkeep.forgetting import ANSWERS_KEPT_S, EVENTS_KE
 
 GROUPS: Mapping[str, tuple[str, ...]] = {
     "Addresses and access": (
-        "host", "http_port", "grpc_port", "metrics_port", "metrics_host", "allowed_hosts", "insecure_bind",
+        "host", "http_port", "grpc_port", "grpc_address", "metrics_port", "metrics_host", "allowed_hosts",
+        "insecure_bind",
         "authentication", "tls_certificate", "tls_key", "client_ca", "client_certificates", "jwt", "secret",
         "webhook_private_networks",
     ),
@@ -109,6 +110,12 @@ class Settings(AccessSettings):
     )
     http_port: int = Field(default=8080, ge=0, le=65535, description="REST port; 0 takes a free one")
     grpc_port: int = Field(default=8090, ge=0, le=65535, description="gRPC port; 0 takes a free one")
+    grpc_address: str = Field(
+        default="",
+        pattern=r"^((grpcs://)?(\[[0-9A-Fa-f:.]+\]|[^/\s:\[\]]+):[0-9]{1,5})?$",
+        description="where clients reach gRPC behind a proxy or a published port: HOST:PORT, or grpcs://HOST:PORT for "
+        "TLS; clients that know the HTTP address alone are told; unset for `grpc_port` on the host of that address",
+    )
     metrics_port: int | None = Field(
         default=None, ge=0, le=65535, description="port of /metrics; unset for none, 0 takes a free one"
     )
@@ -131,8 +138,8 @@ class Settings(AccessSettings):
     tenant_storage_mb: int | None = Field(
         default=None,
         ge=1,
-        description="room (MiB) for the clouds of one tenant, at 12 bytes a point whatever they take on the disk; "
-        "further scans and submaps are refused with QUOTA; unset for no limit",
+        description="room (MiB) for the clouds of one tenant, at 12 bytes a point whatever they take on the disk, and "
+        "its anchors, at 720 bytes; further scans, submaps and anchors are refused with QUOTA; unset for no limit",
     )
     client_points_per_s: float = Field(
         default=10e6, gt=0, description="rate limit of one API key, points a second; a tenant has twice as much"

@@ -43,11 +43,10 @@ def relocalise_along(asked: Asked, folder: Path, every_m: float, as_json: bool) 
 @contextmanager
 def conversation(map_id: str, at: tuple[str, str], storey: str, exclude_session: str) -> Iterator[Asked]:
     """A conversation with the service `at` what --http and --grpc say."""
-    from revisit.sdk.addresses import grpc_address
     from revisit.sdk.client import Client
 
     http, grpc = at
-    with Client.grpc(grpc_address(grpc, http)) as client:
+    with Client.grpc(grpc, http=http) as client:
         where = {"storey": storey or None, "exclude_session": exclude_session or None}
         with client.relocalise(f"maps/{map_id}", **where) as held:
             yield held

@@ -37,7 +37,6 @@ def doctor(
     json: Json = False,
 ) -> None:
     """Check versions, the models, the data folder and whether the service answers."""
-    from revisit.sdk.addresses import grpc_address
     from revisit.sdk.client import Client
     from revisit.sdk.retry import RetryPolicy
     from revisit.service.engines.findings import Finding
@@ -50,7 +49,7 @@ def doctor(
         _checked("models", _models),
         *_data(home, full),
         _checked("REST", lambda: _answer(Client(http, retry=once))),
-        _checked("gRPC", lambda: _answer(Client.grpc(grpc_address(grpc, http), retry=once))),
+        _checked("gRPC", lambda: _answer(Client.grpc(grpc, http=http, retry=once))),
     ]
     if json:
         emit_json([asdict(finding) for finding in findings])

@@ -10,7 +10,7 @@ import typer
 Http = Annotated[str, typer.Option(help="The service: http://HOST:PORT, or HOST. By default REVISIT_HTTP, or here.")]
 Grpc = Annotated[
     str,
-    typer.Option(help="HOST:PORT of its gRPC side, where that is not port 8090 beside 8080. Or REVISIT_GRPC."),
+    typer.Option(help="HOST:PORT of its gRPC side, where the service tells another one. Or REVISIT_GRPC."),
 ]
 Home = Annotated[Path | None, typer.Option(help="Directory of the database and the blobs.")]
 Json = Annotated[bool, typer.Option("--json", help="Answer as JSON.")]

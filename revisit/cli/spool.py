@@ -20,7 +20,6 @@ def spool(
     json: Json = False,
 ) -> None:
     """Show the content of a robot's spool and the scans that the service refused; --send empties it first."""
-    from revisit.sdk.addresses import grpc_address
     from revisit.sdk.client import Client
     from revisit.sdk.spool import Spool
 
@@ -28,7 +27,7 @@ def spool(
     state, dead = opened.state, opened.dead_letters()
     opened.close()
     if send and state.pending:
-        with Client.grpc(grpc_address(grpc, http)) as client, client.spooled_stream(state.session, file) as stream:
+        with Client.grpc(grpc, http=http) as client, client.spooled_stream(state.session, file) as stream:
             stream.flush()
             state, dead = stream.state, stream.dead_letters
     if json:

@@ -6,9 +6,17 @@ import os
 from urllib.parse import urlsplit
 
 from revisit.core.errors import BadField
+from revisit.sdk.credentials import Credentials
+from revisit.sdk.errors import ApiError
+from revisit.sdk.retry import RetryPolicy
+from revisit.sdk.time_limit import within
+from revisit.v1 import system_pb2
 
 HTTP_PORT, GRPC_PORT = 8080, 8090
 HERE = f"http://127.0.0.1:{HTTP_PORT}"
+
+ASKED_S = 3.0
+"""How long the HTTP side is waited for that tells where gRPC is."""
 
 FORMER = {"REVISIT_URL": "REVISIT_HTTP"}
 """Name of a variable that is gone -> the one in its place."""
@@ -29,20 +37,38 @@ def http_address(given: str | None = None) -> str:
     return address
 
 
-def grpc_address(given: str | None = None, http: str | None = None) -> str:
-    """The gRPC side, host:port or grpcs://host:port: the given one, else that beside `http`; $REVISIT_GRPC, else that
-    beside $REVISIT_HTTP; else this machine.
+def grpc_address(given: str | None = None, http: str | None = None, credentials: Credentials | None = None) -> str:
+    """The gRPC side, host:port or grpcs://host:port: the given one, else that of the service at `http`; $REVISIT_GRPC,
+    else that of the service at $REVISIT_HTTP; else of the one on this machine.
 
-    Beside port 8080 is port 8090 of the same host. Raises BadField beside another port: it would be a guess.
+    The service is asked over HTTP, with `credentials`, by default those of the environment. Where it does not say,
+    port 8090 is taken beside port 8080. Raises BadField beside another port: it would be a guess.
     """
     if address := given or ("" if http else _variable("REVISIT_GRPC")):
         return address
     beside = http_address(http)
     host, port, secure = _parts(beside)
-    if port != HTTP_PORT:
-        message = f"the gRPC side of {beside} is not known, as its port is not {HTTP_PORT}: give --grpc HOST:PORT"
-        raise BadField(f"{message}, or REVISIT_GRPC", field="grpc")
-    return f"{'grpcs://' if secure else ''}{host}:{GRPC_PORT}"
+    told, why = _told(beside, credentials or Credentials.given())
+    if not told and port != HTTP_PORT:
+        message = f"the gRPC side of {beside} is not known, as the service does not say it ({why})"
+        raise BadField(f"{message}: give --grpc HOST:PORT, or REVISIT_GRPC", field="grpc")
+    told = told or f":{GRPC_PORT}"
+    return f"{'grpcs://' if secure else ''}{host}{told}" if told.startswith(":") else told
+
+
+def _told(http: str, credentials: Credentials) -> tuple[str, str]:
+    """What the service at a URL says of its gRPC side, "" where it says nothing; and why."""
+    from revisit.sdk.rest_transport import RestTransport  # programs that give the address need no HTTP
+
+    transport = RestTransport(http, RetryPolicy(attempts=1), credentials)
+    try:
+        with within(ASKED_S):
+            status = transport.call("GetStatus", system_pb2.GetStatusRequest())
+    except ApiError as error:
+        return "", error.message
+    finally:
+        transport.close()
+    return status.grpc_address, "it is of an earlier version"
 
 
 def _parts(url: str) -> tuple[str, int | None, bool]:

@@ -100,18 +100,21 @@ class Client:
         cls,
         address: str | None = None,
         *,
+        http: str | None = None,
         api_key: str | None = None,
         ca: str | Path | None = None,
         retry: RetryPolicy = RetryPolicy(),
     ) -> Self:
-        """A client over gRPC at host:port, by default $REVISIT_GRPC, or port 8090 beside $REVISIT_HTTP, or here.
+        """A client over gRPC at host:port, or `grpcs://host:port` for TLS, by default $REVISIT_GRPC.
 
-        `grpcs://host:port` for TLS. Credentials as for REST; a client certificate from $REVISIT_CERTIFICATE and
+        Without either, the service at the URL `http`, by default $REVISIT_HTTP or port 8080 here, is asked where its
+        gRPC side is. Credentials as for REST; a client certificate from $REVISIT_CERTIFICATE and
         $REVISIT_CERTIFICATE_KEY.
         """
         from revisit.sdk.grpc_transport import GrpcTransport
 
-        return cls(transport=GrpcTransport(grpc_address(address), retry, Credentials.given(api_key, ca)), retry=retry)
+        credentials = Credentials.given(api_key, ca)
+        return cls(transport=GrpcTransport(grpc_address(address, http, credentials), retry, credentials), retry=retry)
 
     def _name_catalogue_calls(self) -> None:
         """Maps, robots, sessions and submaps, as programs of before there were groups name the calls."""

@@ -172,7 +172,7 @@ class Webhook(Resource):
 
 @dataclass(frozen=True)
 class Status(Resource):
-    """The state of the service."""
+    """The state of the service. `grpc_address`: where clients reach gRPC, :PORT on the host of the HTTP side."""
 
     version: str
     model_version: str | None
@@ -183,3 +183,4 @@ class Status(Resource):
     workers: tuple[str, ...] = field(
         metadata=read_by(lambda message: tuple(worker.worker_id for worker in message.workers))
     )
+    grpc_address: str = ""

@@ -173,6 +173,7 @@ COMMENTS = {
     'revisit.v1.GetRetentionRequest.name': 'maps/{map}',
     'revisit.v1.GetRobotRequest.name': 'robots/{robot}',
     'revisit.v1.GetSessionRequest.name': 'maps/{map}/sessions/{session}',
+    'revisit.v1.GetStatusResponse.grpc_address': 'Where clients reach the gRPC side: HOST:PORT, or grpcs://HOST:PORT for TLS, as the operator says it; otherwise :PORT, on the host by which they reach HTTP, with TLS where HTTP has it.',
     'revisit.v1.GetStatusResponse.model_version': 'Of the newest worker; empty before any started.',
     'revisit.v1.GetSubmapRequest.View': 'How much of the submap is told.',
     'revisit.v1.GetSubmapRequest.View.BASIC': 'Everything but the descriptor.',

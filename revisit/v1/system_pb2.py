@@ -24,7 +24,7 @@ _sym_db = _symbol_database.Default()
 
 
 
-DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n\x17revisit/v1/system.proto\x12\nrevisit.v1\"2\n\x06Worker\x12\x11\n\tworker_id\x18\x01 \x01(\t\x12\x15\n\rmodel_version\x18\x02 \x01(\t\"\x12\n\x10GetStatusRequest\"\xb9\x01\n\x11GetStatusResponse\x12\x0f\n\x07version\x18\x01 \x01(\t\x12\x15\n\rmodel_version\x18\x02 \x01(\t\x12\x13\n\x0bqueued_jobs\x18\x03 \x01(\r\x12\x14\n\x0crunning_jobs\x18\x04 \x01(\r\x12\x13\n\x0b\x66\x61iled_jobs\x18\x05 \x01(\r\x12\x17\n\x0findexed_submaps\x18\x06 \x01(\r\x12#\n\x07workers\x18\x07 \x03(\x0b\x32\x12.revisit.v1.Worker2Y\n\rSystemService\x12H\n\tGetStatus\x12\x1c.revisit.v1.GetStatusRequest\x1a\x1d.revisit.v1.GetStatusResponseb\x06proto3')
+DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n\x17revisit/v1/system.proto\x12\nrevisit.v1\"2\n\x06Worker\x12\x11\n\tworker_id\x18\x01 \x01(\t\x12\x15\n\rmodel_version\x18\x02 \x01(\t\"\x12\n\x10GetStatusRequest\"\xcf\x01\n\x11GetStatusResponse\x12\x0f\n\x07version\x18\x01 \x01(\t\x12\x15\n\rmodel_version\x18\x02 \x01(\t\x12\x13\n\x0bqueued_jobs\x18\x03 \x01(\r\x12\x14\n\x0crunning_jobs\x18\x04 \x01(\r\x12\x13\n\x0b\x66\x61iled_jobs\x18\x05 \x01(\r\x12\x17\n\x0findexed_submaps\x18\x06 \x01(\r\x12#\n\x07workers\x18\x07 \x03(\x0b\x32\x12.revisit.v1.Worker\x12\x14\n\x0cgrpc_address\x18\x08 \x01(\t2Y\n\rSystemService\x12H\n\tGetStatus\x12\x1c.revisit.v1.GetStatusRequest\x1a\x1d.revisit.v1.GetStatusResponseb\x06proto3')
 
 _globals = globals()
 _builder.BuildMessageAndEnumDescriptors(DESCRIPTOR, _globals)
@@ -36,7 +36,7 @@ if not _descriptor._USE_C_DESCRIPTORS:
   _globals['_GETSTATUSREQUEST']._serialized_start=91
   _globals['_GETSTATUSREQUEST']._serialized_end=109
   _globals['_GETSTATUSRESPONSE']._serialized_start=112
-  _globals['_GETSTATUSRESPONSE']._serialized_end=297
-  _globals['_SYSTEMSERVICE']._serialized_start=299
-  _globals['_SYSTEMSERVICE']._serialized_end=388
+  _globals['_GETSTATUSRESPONSE']._serialized_end=319
+  _globals['_SYSTEMSERVICE']._serialized_start=321
+  _globals['_SYSTEMSERVICE']._serialized_end=410
 # @@protoc_insertion_point(module_scope)

@@ -19,7 +19,7 @@ class GetStatusRequest(_message.Message):
     def __init__(self) -> None: ...
 
 class GetStatusResponse(_message.Message):
-    __slots__ = ("version", "model_version", "queued_jobs", "running_jobs", "failed_jobs", "indexed_submaps", "workers")
+    __slots__ = ("version", "model_version", "queued_jobs", "running_jobs", "failed_jobs", "indexed_submaps", "workers", "grpc_address")
     VERSION_FIELD_NUMBER: _ClassVar[int]
     MODEL_VERSION_FIELD_NUMBER: _ClassVar[int]
     QUEUED_JOBS_FIELD_NUMBER: _ClassVar[int]
@@ -27,6 +27,7 @@ class GetStatusResponse(_message.Message):
     FAILED_JOBS_FIELD_NUMBER: _ClassVar[int]
     INDEXED_SUBMAPS_FIELD_NUMBER: _ClassVar[int]
     WORKERS_FIELD_NUMBER: _ClassVar[int]
+    GRPC_ADDRESS_FIELD_NUMBER: _ClassVar[int]
     version: str
     model_version: str
     queued_jobs: int
@@ -34,4 +35,5 @@ class GetStatusResponse(_message.Message):
     failed_jobs: int
     indexed_submaps: int
     workers: _containers.RepeatedCompositeFieldContainer[Worker]
-    def __init__(self, version: _Optional[str] = ..., model_version: _Optional[str] = ..., queued_jobs: _Optional[int] = ..., running_jobs: _Optional[int] = ..., failed_jobs: _Optional[int] = ..., indexed_submaps: _Optional[int] = ..., workers: _Optional[_Iterable[_Union[Worker, _Mapping]]] = ...) -> None: ...
+    grpc_address: str
+    def __init__(self, version: _Optional[str] = ..., model_version: _Optional[str] = ..., queued_jobs: _Optional[int] = ..., running_jobs: _Optional[int] = ..., failed_jobs: _Optional[int] = ..., indexed_submaps: _Optional[int] = ..., workers: _Optional[_Iterable[_Union[Worker, _Mapping]]] = ..., grpc_address: _Optional[str] = ...) -> None: ...

@@ -30,6 +30,9 @@ CREATION_POINTS = 100_000
 ANCHOR_POINTS = 15_000
 """Of a new anchor: five times the 0.3 ms of its row."""
 
+STORED_ANCHOR_POINTS = 60
+"""That the row of an anchor takes of the room of its tenant."""
+
 ROW_POINTS = 3_000
 """Of a row of a list: five times 60 us."""
 

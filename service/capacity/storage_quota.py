@@ -1,8 +1,9 @@
-"""How much a tenant may store, by the points of its clouds.
+"""How much a tenant may store, by the points of its clouds, and by its anchors.
 
 Counted from rows: 12 bytes a point, as a cloud has them before it is compressed, so that a client can reckon with it;
-derived data (meshes, descriptors) is not counted. A gateway keeps a sum in memory. It makes the sum anew, at most once
-a second a tenant, once it has stored its part of the room that there was: the other gateways may have filled theirs.
+an anchor counts as so many points. Derived data (meshes, descriptors) is not counted. A gateway keeps a sum in memory.
+It makes the sum anew, at most once a second a tenant, once it has stored its part of the room that there was: the other
+gateways may have filled theirs.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from revisit.service.capacity.budget import GatewayShare
-from revisit.service.capacity.limits import POINT_BYTES, QUOTA_RECOUNT_S, QUOTA_RETRY_S
+from revisit.service.capacity.limits import POINT_BYTES, QUOTA_RECOUNT_S, QUOTA_RETRY_S, STORED_ANCHOR_POINTS
 from revisit.service.domain.errors import QuotaReached
 from revisit.service.domain.identity import TenantId
 from revisit.service.ports.storage import Storage
@@ -52,7 +53,9 @@ class StorageQuota:
             counted = await self._storage.read(lambda uow: _points(uow, tenant))
             self._stored[tenant] = _Stored(POINT_BYTES * counted)
         if self._reached(tenant):
-            message = f"the tenant's clouds take {self._most_bytes >> 20} MiB or more, which is all it may store"
+            message = (
+                f"the tenant's clouds and anchors take {self._most_bytes >> 20} MiB or more, which is all it may store"
+            )
             raise QuotaReached(message, retry_after_s=QUOTA_RETRY_S)
 
     def note(self, tenant: TenantId, points: int) -> None:
@@ -72,4 +75,5 @@ class StorageQuota:
 
 
 def _points(uow: UnitOfWork, tenant: TenantId) -> int:
-    return uow.scans.points_of(tenant) + uow.submaps.points_of(tenant)
+    anchors = STORED_ANCHOR_POINTS * uow.anchors.count(tenant)
+    return uow.scans.points_of(tenant) + uow.submaps.points_of(tenant) + anchors

@@ -93,6 +93,7 @@ async def _serve(
     rpc = create_server(world.use_cases, call_limits=limits or CallLimits())
     grpc_port = rpc.add_insecure_port("127.0.0.1:0")
     await rpc.start()
+    world.use_cases.system.reached_at(f":{grpc_port}")
     listener = socket.create_server(("127.0.0.1", 0))
     # asyncio, unlike the gateway's uvloop, leaves Nagle's algorithm on: 40 ms for each answer.
     listener.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)

@@ -15,7 +15,7 @@ from revisit.core.geometry import se3
 from revisit.core.geometry.se3 import Matrix4
 from revisit.core.pose_graph.anchors import AnchorReason, AnchorState
 from revisit.service.capacity.charged_work import ChargedWork
-from revisit.service.capacity.limits import ANCHOR_POINTS
+from revisit.service.capacity.limits import ANCHOR_POINTS, STORED_ANCHOR_POINTS
 from revisit.service.domain import limits
 from revisit.service.domain.errors import NotFound
 from revisit.service.domain.identity import SessionKey, TenantId
@@ -65,10 +65,16 @@ class Anchors:
         """Store anchors of a session, all or none; those that are there with the same content are passed over.
 
         The map is optimised with them once the session has ended. Raises BadField, also where the scans do not tell the
-        pose at a time; NotFound; AlreadyExists for other content; Draining, RateLimited.
+        pose at a time; NotFound; AlreadyExists for other content; Draining, RateLimited, QuotaReached.
         """
         rows, now_ns = await self._rows(tenant, key, anchors), self._context.clock.wall_ns()
-        return await self._context.storage.write(partial(self._post, tenant=tenant, key=key, rows=rows, now_ns=now_ns))
+        new = await self._context.storage.read(partial(_count_new, rows=rows))
+        if new:
+            await self._context.admission.require_room(tenant)
+        post = partial(self._post, tenant=tenant, key=key, rows=rows, now_ns=now_ns)
+        posted = await self._context.storage.write(post)
+        self._context.admission.note_stored(tenant, new * STORED_ANCHOR_POINTS)
+        return posted
 
     async def _rows(self, tenant: TenantId, key: SessionKey, anchors: Sequence[NewAnchor]) -> list[AnchorRecord]:
         """The rows of anchors to post. Raises as `post`."""
@@ -92,7 +98,7 @@ class Anchors:
         self, uow: UnitOfWork, tenant: TenantId, key: SessionKey, rows: Sequence[AnchorRecord], payload: dict[str, Any]
     ) -> PostedOperation:
         require_map(uow, tenant, key.map_id, hold=True)
-        new = sum(_known(uow, row) is None for row in rows)
+        new = _count_new(uow, rows)
         if new:
             _require_room(uow, tenant, key, new)
         asked, replay = self._context.jobs.ask(uow, tenant, OperationKind.PREVIEW_ANCHORS, key.name, payload)
@@ -175,6 +181,11 @@ def _require_room(uow: UnitOfWork, tenant: TenantId, key: SessionKey, more: int 
     """Raises BadField where a session with so many `more` anchors would have too many."""
     if uow.anchors.count(tenant, map_id=key.map_id, session_id=key.session_id) + more > limits.ANCHORS_OF_SESSION:
         raise BadField(f"a session has at most {limits.ANCHORS_OF_SESSION} anchors", field="anchors")
+
+
+def _count_new(uow: UnitOfWork, rows: Sequence[AnchorRecord]) -> int:
+    """How many of them are not stored yet. Raises AlreadyExists where one of an id has other content."""
+    return sum(_known(uow, row) is None for row in rows)
 
 
 def _known(uow: UnitOfWork, row: AnchorRecord) -> AnchorRecord | None:

@@ -42,7 +42,10 @@ class WorkerView:
 
 @dataclass(frozen=True)
 class ServiceStatus:
-    """The service's work for a tenant. `model_version` is that of the newest worker, None before any started."""
+    """The service's work for a tenant. `model_version` is that of the newest worker, None before any started.
+
+    `grpc_address`: where clients reach gRPC, :PORT on the host by which they reach HTTP; "" where nothing listens.
+    """
 
     version: str
     model_version: str | None
@@ -51,6 +54,7 @@ class ServiceStatus:
     failed_jobs: int
     indexed_submaps: int
     workers: tuple[WorkerView, ...]
+    grpc_address: str
 
 
 class System:
@@ -66,6 +70,11 @@ class System:
         self._index = index
         self._version = version
         self._checking: asyncio.Task[Readiness] | None = None
+        self._grpc_address = ""
+
+    def reached_at(self, grpc_address: str) -> None:
+        """From now on clients reach gRPC there (see `ServiceStatus`)."""
+        self._grpc_address = grpc_address
 
     async def readiness(self) -> Readiness:
         """Ready when the database answers, the index is loaded and the service is not draining.
@@ -112,6 +121,7 @@ class System:
             failed_jobs=uow.jobs.count(tenant, state=OperationState.FAILED.value),
             indexed_submaps=uow.submaps.count(tenant, state=SubmapState.DESCRIBED.value),
             workers=tuple(WorkerView(worker.worker_id, worker.model_version) for worker in alive),
+            grpc_address=self._grpc_address,
         )
 
     def _alive(self, uow: UnitOfWork) -> Sequence[WorkerRecord]:

@@ -207,7 +207,7 @@ def test_a_spool_is_shown_and_sent_from_the_command_line(service, tmp_path):
             stream.send(np.zeros((300, 3)) if number == 1 else cloud_points(number), pose(float(number)), number)
     before = json.loads(invoke("spool", spool, "--json"))
     assert (before["session"], before["pending"], before["committed_seq"]) == (session.name, 3, None)
-    after = json.loads(invoke("spool", spool, "--send", "--grpc", service.grpc, "--json"))
+    after = json.loads(invoke("spool", spool, "--send", "--http", service.http, "--json"))
     assert (after["pending"], after["committed_seq"]) == (0, 2)
     assert [(dead["seq"], dead["reason"]) for dead in after["dead_letters"]] == [(2, "UNUSABLE_CLOUD")]
     assert "UNUSABLE_CLOUD" in invoke("spool", spool)
@@ -215,7 +215,7 @@ def test_a_spool_is_shown_and_sent_from_the_command_line(service, tmp_path):
 
 def test_loops_query_and_export_answer_for_an_ingested_recording(recording, service, tmp_path):
     at = ("--http", service.http, "--map", "asked")
-    invoke("ingest", recording, "--map", "asked", "--grpc", service.grpc, "--json")
+    invoke("ingest", recording, *at, "--json")
     found = json.loads(invoke("loops", *at, "--state", "all", "--json"))
     assert all(loop["query"].startswith("maps/asked/sessions/short/submaps/") for loop in found)
     shown = invoke("loops", *at)

@@ -8,6 +8,7 @@ from dataclasses import astuple, replace
 import numpy as np
 import pytest
 
+from revisit import Client
 from revisit.core.geometry import se3
 from revisit.sdk.errors import AlreadyExists, InvalidArgument, NotFound
 from revisit.sdk.resources import LoopPolicy
@@ -187,6 +188,12 @@ def test_a_deleted_submap_and_a_deleted_map_are_gone(client, session, town):
     client.delete(town)
     with pytest.raises(NotFound):
         client.get_session(session.name)
+
+
+def test_the_status_tells_where_grpc_is_and_a_client_of_the_http_address_finds_it(client, service):
+    assert client.status().grpc_address == f":{service.grpc.rpartition(':')[2]}"
+    with Client.grpc(http=service.http) as found:
+        assert found.status().version == "test"
 
 
 def test_the_status_tells_version_and_queue(client, session):

@@ -7,12 +7,14 @@ import signal
 import subprocess
 import sys
 
+import numpy as np
 import pytest
 
 from revisit import ApiError
 from revisit.evaluation.datasets import write_kitti
+from revisit.sdk.anchors import NewAnchor
 from revisit.service.capacity import storage_quota
-from revisit.service.capacity.limits import POINT_BYTES
+from revisit.service.capacity.limits import POINT_BYTES, STORED_ANCHOR_POINTS
 from revisit.service.domain.errors import QuotaReached
 from revisit.service.domain.identity import TenantId
 from tests.support.live_service import connected, live_service
@@ -48,6 +50,24 @@ def test_a_tenant_that_has_stored_what_it_may_is_refused_until_it_deletes_someth
     client.delete("maps/town/sessions/monday/submaps/s0")
     monkeypatch.setattr(storage_quota, "QUOTA_RECOUNT_S", 0.0)
     post(client, 3)
+
+
+def test_anchors_count_until_they_are_deleted(client, monkeypatch):
+    monkeypatch.setattr(storage_quota, "QUOTA_RECOUNT_S", 0.0)
+    session, most = "maps/town/sessions/monday", ROOM // (STORED_ANCHOR_POINTS * POINT_BYTES)
+    fixes = [
+        NewAnchor(f"fix-{n}", "GNSS", n, (1.0, 1.0, 2.0), geodetic=(48.0, 11.0, 500.0), T_odom_sensor=np.eye(4))
+        for n in range(most + 1)
+    ]
+    client.sessions.post_anchors(session, fixes[:most])
+    with pytest.raises(ApiError) as refused:
+        client.sessions.post_anchors(session, fixes[most:])
+    assert refused.value.reason == "QUOTA"
+    with pytest.raises(ApiError):
+        post(client, 0)
+    client.sessions.post_anchors(session, fixes[:most])  # Those that are stored take no more room.
+    client.sessions.delete_anchor(f"{session}/anchors/fix-0")
+    client.sessions.post_anchors(session, fixes[most:])
 
 
 async def test_scans_count_and_what_another_tenant_has_does_not():
