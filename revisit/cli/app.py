@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from revisit.cli import (
+    anchors,
     audit,
     backup,
     bench,
@@ -59,6 +60,7 @@ COMMANDS = (
 )  # fmt: skip
 GROUPS = {
     "map": maps.group,
+    "anchors": anchors.group,
     "keys": keys.group,
 }
 

@@ -9,12 +9,14 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from revisit.cli.anchor_files import EARTH, POSE, SIGMAS
 from revisit.cli.app import app
 from revisit.sdk.anchors import NewAnchor
 from revisit.sdk.errors import AlreadyExists, InvalidArgument, NotFound
 from revisit.service.capacity.limits import ANCHOR_POINTS, CREATION_POINTS
 from revisit.service.domain import limits
 from tests.support.bag_layouts import Layout
+from tests.support.service_world import cloud_points, pose
 
 FIX = NewAnchor(
     "fix-1", "GNSS", 1_000, np.array([1.0, 1.0, 2.0]), geodetic=(48.0, 11.0, 500.0), offset_m=(0.1, 0.0, 1.5),
@@ -171,3 +173,40 @@ def test_fixes_in_a_bag_become_anchors_of_its_session(service, client, tmp_path)
     assert (done["anchors"], again["anchors"], again["scans_sent"]) == (2, 2, 0)
     kept = client.sessions.anchors(done["session"])
     assert [one.kind for one in kept] == ["GNSS", "GNSS"] and kept[0].offset_m == (0.5, 0.0, 1.2)
+
+
+def test_anchors_are_added_tried_listed_and_removed_from_the_command_line(service, session, client, tmp_path):
+    table = tmp_path / "anchors.csv"
+    head = ",".join(["anchor_id", "kind", "time", *EARTH, *SIGMAS, *POSE])
+    table.write_text("\n".join([head, *(f"fix-{n},GNSS,{n},48,11,500,1,1,2,{n},0,0,0,0,0,1" for n in range(3))]))
+    _, town, _, monday = session.name.split("/")
+    at = ["--http", service.http, "--map", town]
+    of_session = [*at, "--session", monday]
+
+    def invoked(*arguments: str, status: int = 0) -> str:
+        done = CliRunner().invoke(app, ["anchors", *map(str, arguments)])
+        assert done.exit_code == status, done.output
+        return done.output
+
+    assert "the map holds no submaps" in invoked("preview", table, *of_session, status=1)
+    client.wait(client.post_submap(session, "a", cloud_points(1), pose(0.0), 1))
+    told = json.loads(invoked("preview", table, *of_session, "--json"))
+    assert [(one["name"][-5:], one["state"], one["reason"]) for one in told["anchors"]] == [
+        (f"fix-{n}", "NOT_ALIGNED", "TOO_FEW") for n in range(3)
+    ]
+    assert "TOO_FEW" in invoked("preview", table, *of_session)
+    assert client.sessions.anchors(session) == []
+
+    assert f"{session.name} has 3 anchors of anchors.csv." in invoked("add", table, *of_session)
+    listed = json.loads(invoked("list", *at, "--json"))
+    assert [one["name"][-5:] for one in listed] == ["fix-0", "fix-1", "fix-2"]
+    again = tmp_path / "again.json"
+    again.write_text(json.dumps(listed))
+    assert len(json.loads(invoked("add", again, *of_session, "--json"))) == 3, "an answer is a file, too"
+    assert "0 of 3 anchors hold the map" in invoked("list", *of_session)
+
+    assert f"{session.name} has lost 1 anchor." in invoked("remove", "fix-1", *of_session, "--yes")
+    assert [one.name[-5:] for one in client.sessions.anchors(session)] == ["fix-0", "fix-2"]
+    assert "give --session and either ID... or --all" in invoked("remove", *of_session, status=1)
+    invoked("remove", "--all", *of_session, "--yes")
+    assert client.sessions.anchors(session) == []
