@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from revisit.core.geometry import se3
-from revisit.core.scan_planes import Planarity, plane_heights, within_planes
+from revisit.core.scan_planes import Planarity, PlaneHeights, SeenCubes, plane_heights, seen_cubes, within_planes
 from revisit.core.submap import Submap
 
 Array64 = NDArray[np.float64]
@@ -65,14 +65,20 @@ class OdometryBend:
         return replace(submap, points=points, origins=origins)
 
 
-def odometry_bend(submap: Submap) -> OdometryBend | None:
-    """How the odometry of a level submap bends; None where its scans show no bend, or too few planes."""
-    looked = _step(submap, _LOOK) if submap.scan_count > 2 else None
+def odometry_bend(submap: Submap, cubes: SeenCubes | None = None) -> OdometryBend | None:
+    """How the odometry of a level submap bends; None where its scans show no bend, or too few planes.
+
+    `cubes` are its `seen_cubes`, where they are at hand.
+    """
+    if submap.scan_count < 3:
+        return None
+    cubes = seen_cubes(submap, _LOOK.planarity.edge) if cubes is None else cubes
+    looked = None if cubes is None else _motion(submap, cubes.heights(_LOOK.planarity), _LOOK)
     if looked is None or np.linalg.norm(looked[0][:3]) < _LOOKS_BENT:
         return None
     found, straight, deviation = np.zeros(6), submap, np.full(6, np.inf)
     for step in _STEPS:
-        moved = _step(straight, step)
+        moved = _motion(straight, plane_heights(straight, step.planarity), step)
         if moved is None:
             return None
         found, deviation = found + moved[0], moved[1]
@@ -83,9 +89,12 @@ def odometry_bend(submap: Submap) -> OdometryBend | None:
     return OdometryBend(found[:3], found[3:])
 
 
-def _step(submap: Submap, step: _Step) -> tuple[Array64, Array64] | None:
-    """Turn and slip (6,) by unit of way that lay the scans best on each other, and their standard deviations."""
-    pairs, edge = plane_heights(submap, step.planarity), step.planarity.edge
+def _motion(submap: Submap, pairs: PlaneHeights | None, step: _Step) -> tuple[Array64, Array64] | None:
+    """Turn and slip (6,) by unit of way that lay the scans best on each other, and their standard deviations.
+
+    By their heights over planes; None where there are too few.
+    """
+    edge = step.planarity.edge
     if pairs is None or len(pairs.height) < _LEAST_PAIRS // edge:
         return None
     starts = np.flatnonzero(np.diff(pairs.plane, prepend=-1))

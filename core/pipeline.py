@@ -28,6 +28,7 @@ from revisit.core.place.extraction import extract_place
 from revisit.core.sanity.ground import place_flags
 from revisit.core.scan import is_plane
 from revisit.core.scan_disagreement import ScanDisagreement, scan_disagreement
+from revisit.core.scan_planes import seen_cubes
 from revisit.core.spectra import describe_spectra
 from revisit.core.submap import Submap
 from revisit.core.surface import Surface, extract_surface
@@ -86,14 +87,16 @@ def fit(submap: Submap, models: ModelBundle, config: PipelineConfig, seed: int =
     models.require_fits(config)
     rng = np.random.default_rng(seed)
     level, frame = submap.in_level_frame(config.scene_scale)
-    bend = odometry_bend(level)  # decision 0081
-    level = level if bend is None else bend.straightened(level)
+    cubes = seen_cubes(level) if level.scan_count > 1 else None
+    bend = odometry_bend(level, cubes)  # decision 0081
+    if bend is not None:
+        level, cubes = bend.straightened(level), None
     neural_map = fit_implicit_map(level, models.decoder, config.implicit_map, rng)  # III-B, Eq. 1-6
     flags = ("degenerate_plane",) * is_plane(submap.points)
     flags += ("ground_tilted",) * level.leans
     flags += place_flags(level.points, config.scene_scale, plane_scores)
     flags += ("crowded",) * neural_map.crowded + ("odometry_bends",) * (bend is not None)
-    return FittedSubmap(dataclasses.replace(neural_map, frame=frame), flags, scan_disagreement(level), rng)
+    return FittedSubmap(dataclasses.replace(neural_map, frame=frame), flags, scan_disagreement(level, cubes), rng)
 
 
 def describe_fitted(fitted: FittedSubmap, models: ModelBundle, config: PipelineConfig) -> DescribedPlace:

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from revisit.core.scan_planes import PlaneHeights, plane_heights, within_planes
+from revisit.core.scan_planes import Planarity, PlaneHeights, SeenCubes, seen_cubes, within_planes
 from revisit.core.submap import Submap
 
 Array64 = NDArray[np.float64]
@@ -41,12 +41,15 @@ class ScanDisagreement:
     turn: float = 0.0
 
 
-def scan_disagreement(submap: Submap) -> ScanDisagreement | None:
+def scan_disagreement(submap: Submap, cubes: SeenCubes | None = None) -> ScanDisagreement | None:
     """How far the scans of a submap disagree; None where too few planes are seen by two of them, or near ones alone.
 
-    The submap is level, its lengths divided by the scene scale.
+    The submap is level, its lengths divided by the scene scale. `cubes` are its `seen_cubes`, where they are at hand.
     """
-    pairs = plane_heights(submap) if submap.scan_count > 1 else None
+    if submap.scan_count < 2:
+        return None
+    cubes = seen_cubes(submap) if cubes is None else cubes
+    pairs = None if cubes is None else cubes.heights(Planarity())
     if pairs is None:
         return None
     starts = np.flatnonzero(np.diff(pairs.plane, prepend=-1))

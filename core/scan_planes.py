@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from revisit.core.geometry.voxel_keys import grouped
 from revisit.core.submap import Submap
 
 Array64 = NDArray[np.float64]
@@ -45,9 +46,42 @@ class PlaneHeights:
     normals: Array64
 
 
+@dataclass(frozen=True)
+class SeenCubes:
+    """Cubes that at least two scans of a submap see, whatever counts as a plane: the mean (m, 3) of the points of each,
+    the `axis` (m, 3) of their least variance, all three `variances` (m, 3) ascending; and of each scan (m, s) how many
+    points it has there, their mean `height` along the axis, and its variance. Lengths as the points have them.
+    """
+
+    middles: Array64
+    axis: Array64
+    variances: Array64
+    counts: NDArray[np.int64]
+    height: Array64
+    variance: Array64
+
+    def heights(self, planarity: Planarity) -> PlaneHeights | None:
+        """The heights of the scans over the planes among the cubes; None where there is none."""
+        least, second = self.variances[:, 0], self.variances[:, 1]
+        flat = (least < planarity.thickest**2) & (least < planarity.flat * second) & (second > _FLATTEST_SPREAD_M2)
+        pairs = flat[:, None] & (self.counts >= _LEAST_OF_SCAN)
+        plane, by = np.nonzero(pairs & (pairs.sum(axis=1, keepdims=True) >= 2))
+        if len(plane) == 0:
+            return None
+        return PlaneHeights(
+            self.height[plane, by], self.variance[plane, by], plane, by, self.middles[plane], self.axis[plane]
+        )
+
+
+def seen_cubes(submap: Submap, edge: float = 1.0) -> SeenCubes | None:
+    """The cubes of an edge that at least two scans of a submap see; None where there are none."""
+    return _seen(*_some_columns(submap, edge))
+
+
 def plane_heights(submap: Submap, planarity: Planarity = Planarity()) -> PlaneHeights | None:
     """The heights of a submap's scans over planes that at least two of them see; None where there is no such plane."""
-    return _over_cubes(*_some_columns(submap, planarity.edge), planarity)
+    cubes = seen_cubes(submap, planarity.edge)
+    return None if cubes is None else cubes.heights(planarity)
 
 
 def _some_columns(submap: Submap, edge: float) -> tuple[Array64, NDArray[np.int64], NDArray[np.int64]]:
@@ -61,13 +95,11 @@ def _some_columns(submap: Submap, edge: float) -> tuple[Array64, NDArray[np.int6
     return points.astype(np.float64), submap.scan_index.take(rows).astype(np.int64), (x * 2048 + y) * 2048 + z
 
 
-def _over_cubes(
-    points: Array64, scan: NDArray[np.int64], cube: NDArray[np.int64], planarity: Planarity
-) -> PlaneHeights | None:
-    """The heights of scans over the planes of cubes that at least two of them see; None where there is no such cube."""
+def _seen(points: Array64, scan: NDArray[np.int64], cube: NDArray[np.int64]) -> SeenCubes | None:
+    """The cubes of points (n, 3) that at least two scans see; None where there is no such cube."""
     if len(points) < _LEAST_OF_CUBE:
         return None
-    _, cube = np.unique(cube, return_inverse=True)
+    cube, _ = grouped(cube)
     scans = int(scan.max()) + 1
     counts = np.bincount(cube * scans + scan, minlength=(int(cube.max()) + 1) * scans).reshape(-1, scans)
     seen = ((counts >= _LEAST_OF_SCAN).sum(axis=1) >= 2) & (counts.sum(axis=1) >= _LEAST_OF_CUBE)
@@ -75,24 +107,20 @@ def _over_cubes(
         return None
     kept = np.flatnonzero(seen[cube])
     scan, cube, counts = scan[kept], (np.cumsum(seen) - 1)[cube[kept]], counts[seen]
-    middles, normals, flat, above = _planes(points.take(kept, axis=0).T.copy(), cube, counts.sum(axis=1), planarity)
+    middles, axis, variances, above = _spreads(points.take(kept, axis=0).T.copy(), cube, counts.sum(axis=1))
     first, second = (
         np.bincount(cube * scans + scan, power, counts.size).reshape(counts.shape) / np.maximum(counts, 1)
         for power in (above, above**2)
     )
-    pairs = flat[:, None] & (counts >= _LEAST_OF_SCAN)
-    plane, by = np.nonzero(pairs & (pairs.sum(axis=1, keepdims=True) >= 2))
-    if len(plane) == 0:
-        return None
     of_mean = (second - first**2) / np.maximum(counts - 1, 1)
-    return PlaneHeights(first[plane, by], of_mean[plane, by], plane, by, middles[plane], normals[plane])
+    return SeenCubes(middles, axis, variances, counts, first, of_mean)
 
 
-def _planes(
-    points: Array64, cube: NDArray[np.int64], counts: NDArray[np.int64], planarity: Planarity
-) -> tuple[Array64, Array64, NDArray[np.bool_], Array64]:
-    """The mean (m, 3) and the normal (m, 3) of the points (3, n) of each cube, and which of them lie on a plane; and
-    how high each point (n,) lies over that of its cube.
+def _spreads(
+    points: Array64, cube: NDArray[np.int64], counts: NDArray[np.int64]
+) -> tuple[Array64, Array64, Array64, Array64]:
+    """Mean (m, 3) of the points (3, n) of each cube, axis of least variance (m, 3), variances (m, 3) ascending; and how
+    high each point (n,) lies along that axis from the mean of its cube.
     """
     size = len(counts)
     middles = np.stack([np.bincount(cube, side, size) for side in points], axis=1) / counts[:, None]
@@ -102,10 +130,8 @@ def _planes(
             moment = np.bincount(cube, away[row] * away[column], size) / counts
             spread[:, row, column] = spread[:, column, row] = moment
     values, vectors = np.linalg.eigh(spread)
-    thin = (values[:, 0] < planarity.thickest**2) & (values[:, 0] < planarity.flat * values[:, 1])
-    normals = vectors[:, :, 0]
-    above = np.sum(away * normals.T.take(cube, axis=1), axis=0)
-    return middles, normals, thin & (values[:, 1] > _FLATTEST_SPREAD_M2), above
+    axis = vectors[:, :, 0]
+    return middles, axis, values, np.sum(away * axis.T.take(cube, axis=1), axis=0)
 
 
 def within_planes(

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from revisit.core.geometry import se3
-from revisit.core.geometry.voxel_keys import voxel_keys
+from revisit.core.geometry.voxel_keys import grouped, voxel_keys
 
 Array = NDArray[np.float64]
 
@@ -133,12 +133,13 @@ def surface_normals(points: NDArray[np.floating]) -> Array:
         return np.empty((0, 3))
     median = float(np.median(np.linalg.norm(points, axis=1)))
     voxels = np.floor(points / max(VOXEL_OF_RANGE * median, 1e-6)).astype(np.int64)
-    _, voxel, counts = np.unique(voxel_keys(voxels), return_inverse=True, return_counts=True)
-    means = np.stack([np.bincount(voxel, points[:, axis]) for axis in range(3)], axis=1) / counts[:, None]
-    centred = points - means[voxel]
+    voxel, counts = grouped(voxel_keys(voxels))
+    axes = np.ascontiguousarray(points.T)
+    means = np.stack([np.bincount(voxel, side) for side in axes]) / counts
+    centred = axes - means.take(voxel, axis=1)
     spread = np.empty((len(counts), 3, 3))
     for row, column in ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)):
-        spread[:, row, column] = np.bincount(voxel, centred[:, row] * centred[:, column]) / counts
+        spread[:, row, column] = np.bincount(voxel, centred[row] * centred[column]) / counts
         spread[:, column, row] = spread[:, row, column]
     values, vectors = np.linalg.eigh(spread[counts >= MIN_VOXEL_POINTS])
     flat = (values[:, 0] < 0.05 * values[:, 1]) & (values[:, 1] > 0.1 * values[:, 2])

@@ -37,12 +37,34 @@ def first_rows(keys: NDArray[np.int64]) -> NDArray[np.int64]:
 
     Where key and row fit into one number, that is sorted instead of the rows: three times as fast.
     """
-    bits = max(len(keys) - 1, 1).bit_length()
-    if int(keys.max(initial=0)) >> (63 - bits):
+    bits = _bits_of_rows(keys)
+    if bits is None:
         return np.asarray(np.unique(keys, return_index=True)[1])
     packed = np.sort((keys << bits) | np.arange(len(keys)))
     distinct = np.diff(packed >> bits, prepend=-1) != 0
     return np.asarray(packed[distinct] & ((1 << bits) - 1))
+
+
+def grouped(keys: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """The number (n,) of each key (n,) >= 0 among the distinct ones, in their order, and how often each occurs (m,).
+
+    As `np.unique` gives them; faster in the same way as `first_rows`.
+    """
+    bits = _bits_of_rows(keys)
+    if bits is None:
+        _, inverse, counts = np.unique(keys, return_inverse=True, return_counts=True)
+        return np.asarray(inverse), np.asarray(counts)
+    packed = np.sort((keys << bits) | np.arange(len(keys)))
+    distinct = np.diff(packed >> bits, prepend=-1) != 0
+    inverse = np.empty(len(keys), np.int64)
+    inverse[packed & ((1 << bits) - 1)] = np.cumsum(distinct) - 1
+    return inverse, np.diff(np.append(np.flatnonzero(distinct), len(keys)))
+
+
+def _bits_of_rows(keys: NDArray[np.int64]) -> int | None:
+    """How many bits a row takes behind its key, None where key and row do not fit into one number."""
+    bits = max(len(keys) - 1, 1).bit_length()
+    return None if int(keys.max(initial=0)) >> (63 - bits) else bits
 
 
 def _ranks(values: NDArray[np.int64]) -> tuple[NDArray[np.int64], int]:

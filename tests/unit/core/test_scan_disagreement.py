@@ -10,8 +10,10 @@ import pytest
 from revisit.core.config import SubmapConfig
 from revisit.core.geometry import se3
 from revisit.core.kernels.drawn_columns import points_of_drawn_columns
+from revisit.core.odometry_bend import odometry_bend
 from revisit.core.scan import Scan
 from revisit.core.scan_disagreement import ScanDisagreement, scan_disagreement
+from revisit.core.scan_planes import seen_cubes
 from revisit.core.submap import Submap
 
 NOISE_M = 0.01
@@ -133,3 +135,12 @@ def test_one_cloud_and_few_points_tell_nothing() -> None:
         scan_disagreement(Submap.accumulated(thin, np.eye(4), SubmapConfig(), sum(len(one.points) for one in thin)))
         is None
     )
+
+
+def test_cubes_that_are_at_hand_tell_what_is_told_without_them():
+    submap = driven(jitter_m=0.01, jitter_deg=0.05, veer_deg=3.0, step_m=1.0).levelled()
+    cubes, bend = seen_cubes(submap), odometry_bend(submap)
+    assert cubes is not None and bend is not None
+    assert scan_disagreement(submap, cubes) == scan_disagreement(submap) != scan_disagreement(bend.straightened(submap))
+    found = odometry_bend(submap, cubes)
+    assert found is not None and np.array_equal(found.turn, bend.turn) and np.array_equal(found.slip, bend.slip)

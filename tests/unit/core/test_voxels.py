@@ -12,7 +12,7 @@ import pytest
 from revisit.core.clusters import euclidean_clusters, find_ground
 from revisit.core.config import ClusterConfig, ImplicitMapConfig, PipelineConfig
 from revisit.core.errors import BadField
-from revisit.core.geometry.voxel_keys import first_rows, voxel_keys
+from revisit.core.geometry.voxel_keys import first_rows, grouped, voxel_keys
 from revisit.core.implicit_map.neural_points import MAX_NEURAL_POINTS, oriented
 from revisit.core.kernels.elastic_points import FIRST_SCAN, MOMENTS, RECORD, VIEW, insert_returns
 from revisit.core.kernels.gathered_returns import GatheredReturns
@@ -60,6 +60,15 @@ def test_the_first_rows_of_keys_are_those_of_numpy(greatest):
     keys = np.random.default_rng(1).integers(0, greatest, 2_000)
     assert np.array_equal(first_rows(keys), np.unique(keys, return_index=True)[1])
     assert len(first_rows(keys[:0])) == 0
+
+
+@pytest.mark.parametrize("greatest", [3, 10_000, 2**62])
+def test_the_groups_of_keys_are_those_of_numpy(greatest):
+    keys = np.random.default_rng(1).integers(0, greatest, 2_000)
+    for some in (keys, keys[:1], keys[:0]):
+        _, numbers, counts = np.unique(some, return_inverse=True, return_counts=True)
+        for found, expected in zip(grouped(some), (numbers, counts), strict=True):
+            assert np.array_equal(found, expected)
 
 
 def test_no_voxels_have_no_keys():
