@@ -9,12 +9,13 @@ import pytest
 from revisit.core.pair_verdict import RejectionReason
 from revisit.service.domain.errors import NotFound, NotKept
 from revisit.service.domain.identity import SessionKey
-from revisit.service.domain.retention import RetentionRule
+from revisit.service.domain.retention import RetentionRule, parsed
 from revisit.service.domain.states import LoopState, SubmapState
 from revisit.service.features.catalogue.downloads import DownloadKind
 from revisit.service.features.index.answers import SearchCriteria
 from revisit.service.features.loops.decisions import ProposeLoop
 from revisit.service.features.resources.paging import PageRequest
+from revisit.service.features.retention.due import under_review
 from revisit.service.features.retention.rules import RankedSubmap, retired
 from tests.support.retained import DAY_MS, HOUR_MS, driven, retained, stored_seqs
 from tests.support.service_world import SESSION, TENANT, described, memory_world, postgres_world, sqlite_world
@@ -141,11 +142,15 @@ async def first_pair(world, **fields):
     return changed
 
 
+NOTHING_KEPT = f"scans=none,best=1,rejected={1 / 24}d,dropped={1 / 24}d,sessions={1 / 24}d"
+
+
 @pytest.mark.parametrize("state", [{"state": "PROPOSED"}, {"state": "REJECTED", "reason": "AMBIGUOUS"}])
 async def test_nothing_goes_that_a_review_needs(world, state):
     await twice_driven(world)
     loop = await first_pair(world, **state)
-    report = await retained(world, f"scans=none,best=1,rejected={1 / 24}d,dropped={1 / 24}d,sessions={1 / 24}d")
+    frames_apart(world)
+    report = await retained(world, NOTHING_KEPT)
     assert report.submaps_held == 2
     rows = world.context.transactions.read(lambda uow: uow.submaps.numbered(TENANT, ends(loop))).result()
     assert {(row.state, row.kept_scans) for row in rows.values()} == {("DESCRIBED", "ALL")}
@@ -154,6 +159,42 @@ async def test_nothing_goes_that_a_review_needs(world, state):
         session = SessionKey(row.map_id, row.session_id)
         assert set(wanted) <= set(stored_seqs(world, session))
     assert (await world.use_cases.loops.get(TENANT, "town", loop.loop_id)).state == state["state"]
+
+
+def frames_apart(world) -> None:
+    """Give each session of the map a frame of its own."""
+
+    def part(uow):
+        for row in uow.session_poses.find(TENANT, map_id="town"):
+            uow.session_poses.replace(replace(row, frame=f"frame-{row.session_number}"))
+
+    world.context.transactions.write(part).result()
+
+
+async def test_of_an_ambiguous_pair_in_one_frame_the_scans_go_and_stays_what_a_person_looks_at():
+    world = memory_world()
+    await twice_driven(world)
+    world.clock.ms += HOUR_MS
+    loop = await first_pair(world, state="REJECTED", reason="AMBIGUOUS", manual=True)
+    for by_hand, released in ((True, 2), (False, 0)):
+        loop = replace(loop, manual=by_hand)
+        world.context.transactions.write(lambda uow, loop=loop: uow.loops.replace(loop)).result()
+        held = world.context.transactions.read(lambda uow: under_review(uow, uow.maps.get(TENANT, "town"))).result()
+        assert held.retired == {*ends(loop)} and len(held.released) == released
+    planned = await world.use_cases.retention.preview(TENANT, "town", parsed(NOTHING_KEPT))
+    report = await retained(world, NOTHING_KEPT)
+    assert report.submaps_held == planned.submaps_held == 2
+    assert totals(report) == totals(planned)
+    rows = world.context.transactions.read(lambda uow: uow.submaps.numbered(TENANT, ends(loop))).result()
+    assert {(row.state, row.kept_scans) for row in rows.values()} == {("DESCRIBED", "NONE")}
+    assert all(row.place_sha256 and row.descriptor for row in rows.values())
+    assert stored_seqs(world) == stored_seqs(world, TUESDAY) == []
+    for row in rows.values():
+        assert (await world.use_cases.submaps.download(TENANT, row.key, DownloadKind.NEURAL)).data
+
+
+def totals(report) -> dict[str, int]:
+    return {name: sum(getattr(one, name) for one in report.rules) for name in ("submaps", "scans", "loop_closures")}
 
 
 def ends(loop) -> list[int]:

@@ -9,7 +9,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from revisit.service.domain.events import AMBIGUOUS
-from revisit.service.domain.identity import TenantId
 from revisit.service.domain.records import LoopRecord, MapRecord, ScanRecord, SessionRecord
 from revisit.service.domain.retention import DAY_NS, RetentionPolicy
 from revisit.service.domain.states import LoopState, SessionState, SubmapState
@@ -27,10 +26,43 @@ AWAITING = ({"state": LoopState.PROPOSED.value}, {"state": LoopState.REJECTED.va
 ENDS = ("query_number", "match_number")
 
 
-def under_review(uow: UnitOfWork, tenant: TenantId, map_id: str) -> frozenset[int]:
-    """The numbers of submaps with a loop that waits for a decision: to look at it takes all that is stored of them."""
-    numbers = (uow.loops.distinct(tenant, end, map_id=map_id, **state) for state in AWAITING for end in ENDS)
-    return frozenset().union(*numbers)
+@dataclass(frozen=True)
+class UnderReview:
+    """The numbers of submaps with a loop that waits for a decision. To look at it takes place and neural map: such
+    submaps are not `retired`. Of those whose scans are not `released`, either, the decision may move the map.
+    """
+
+    retired: frozenset[int]
+    released: frozenset[int]
+
+
+def under_review(uow: UnitOfWork, record: MapRecord) -> UnderReview:
+    """The ends of proposals and of ambiguous loops. Scans are held of proposals, of what a person has proposed, and of
+    pairs that share no frame of the version in force: how the others lie, the map knows without a decision.
+    """
+    tenant, of_map = record.tenant, {"map_id": record.map_id}
+    waiting = (uow.loops.distinct(tenant, end, **of_map, **state) for state in AWAITING for end in ENDS)
+    proposed, ambiguous = AWAITING
+    by_hand = (uow.loops.distinct(tenant, end, **of_map, **ambiguous, manual=True) for end in ENDS)
+    proposals = (uow.loops.distinct(tenant, end, **of_map, **proposed) for end in ENDS)
+    return UnderReview(frozenset().union(*waiting), frozenset(_far_ends(uow, record)).union(*by_hand, *proposals))
+
+
+def _far_ends(uow: UnitOfWork, record: MapRecord) -> Iterator[int]:
+    """The ends of the ambiguous loops of a map whose two submaps share no frame of the version in force."""
+    frames, after = _frames(uow, record), 0
+    while page := uow.loops.rejected(record.tenant, record.map_id, [AMBIGUOUS], after=after, limit=PAGE):
+        for loop in page:
+            frame = frames.get(loop.query_number)
+            if frame is None or frame != frames.get(loop.match_number):
+                yield from (loop.query_number, loop.match_number)
+        after = page[-1].number
+
+
+def _frames(uow: UnitOfWork, record: MapRecord) -> dict[int, str]:
+    """The frame of each submap of the version in force, by number."""
+    rows = uow.session_poses.find(record.tenant, map_id=record.map_id, version=record.map_version)
+    return {number: row.frame for row in rows for number in PackedSubmaps.of(row.submaps).numbers.tolist()}
 
 
 @dataclass(frozen=True)

@@ -68,16 +68,16 @@ class Preview:
     def report(self, now_ns: int) -> RetentionReport:
         """What would be removed at this time."""
         record, policy = self._map, self._policy
-        held = self._read(partial(due.under_review, tenant=record.tenant, map_id=record.map_id))
+        held = self._read(partial(due.under_review, record=record))
         sessions = self._read(partial(due.due_sessions, record=record, policy=policy, now_ns=now_ns))
         for one in sessions:
-            self._session(one, held)
+            self._session(one, held.retired)
         stride_m = self._rules.for_map(self._map).submap.stride
         best = self._read(partial(due.due_retirements, record=record, policy=policy, within_m=stride_m))
-        self._retire(RetentionRule.BEST_SUBMAPS, set(best) - self._going.retiring, held)
+        self._retire(RetentionRule.BEST_SUBMAPS, set(best) - self._going.retiring, held.retired)
         for session in self._read(lambda uow: uow.sessions.find(record.tenant, map_id=record.map_id)):
             if session.session_id not in self._going.sessions:
-                self._read(partial(self._scans, session=session, now_ns=now_ns, held=held))
+                self._read(partial(self._scans, session=session, now_ns=now_ns, held=held.released))
         loops = self._read(lambda uow: len([None for _ in due.due_loops(uow, record, policy, now_ns)]))
         self._tally.add(RetentionRule.REJECTED_LOOPS, loop_closures=loops, bytes=loops * PAIR_ROW_BYTES)
         estimated = self._weigh()

@@ -105,15 +105,14 @@ class _Run:
         self._policy = policy
         self._now_ns = now_ns
         self._tally = Tally()
-        self._held: frozenset[int] | None = None
+        self._held: due.UnderReview | None = None
         self.held_back = set[int]()
         self._sessions_held = 0
         self._touched = dict[str, RetentionRule]()
 
-    async def _under_review(self) -> frozenset[int]:
+    async def _under_review(self) -> due.UnderReview:
         if self._held is None:
-            read = partial(due.under_review, tenant=self._map.tenant, map_id=self._map.map_id)
-            self._held = await self._storage.read(read)
+            self._held = await self._storage.read(partial(due.under_review, record=self._map))
         return self._held
 
     async def sessions(self) -> None:
@@ -143,7 +142,7 @@ class _Run:
             await self._retire(RetentionRule.BEST_SUBMAPS, await self._storage.read(read))
 
     async def _retire(self, rule: RetentionRule, numbers: Sequence[int]) -> None:
-        held = await self._under_review() if numbers else frozenset[int]()
+        held = (await self._under_review()).retired if numbers else frozenset[int]()
         self.held_back |= held.intersection(numbers)
         for some in portions((one for one in numbers if one not in held), removal.SUBMAPS):
             removed, freed = await self._removed(partial(removal.retire, record=self._map, numbers=some))
@@ -166,7 +165,7 @@ class _Run:
         )
         numbers = due_for_release(standings, self._policy, self._now_ns, ())
         if numbers:
-            held = await self._under_review()
+            held = (await self._under_review()).released
             self.held_back |= held.intersection(numbers)
             numbers = [one for one in numbers if one not in held]
         some_kept = self._policy.keep_scans is KeptScans.DESCRIBED
