@@ -17,7 +17,7 @@ from revisit.service.engines.sql.loops import SqlLoops
 from revisit.service.failpoints import arm
 from revisit.service.features.graph.map_frames import LoopInMap, MapPose
 from revisit.service.features.loops.rows import LoopStanding
-from revisit.service.features.recognition import loop_recall_job
+from revisit.service.features.recognition import beside_faults, loop_recall_job
 from revisit.service.features.recognition.loop_recall_job import loops_to_recall
 from revisit.service.ports.repositories import LoopEnds
 from tests.support.fake_recogniser import FakeRecogniser
@@ -259,6 +259,21 @@ async def test_loops_that_contradicted_each_other_across_a_slip_return_once_a_ve
     assert wide["submaps"] > 6 and narrow["submaps"] <= 4
     ends = town.read(lambda uow: uow.submaps.numbered(TENANT, [narrow["first_number"], narrow["last_number"]]))
     assert ends[narrow["first_number"]].ordinal < SLIP <= ends[narrow["last_number"]].ordinal
+
+
+async def test_the_mended_steps_of_a_version_are_read_once_for_all_pages_of_its_loops(monkeypatch):
+    town, geometry, versions = Town(memory_world(optimise_after_loops=1), slipped_fleet_in), Geometry(), []
+    town.rejected(*doubted(of_slipped(town, town.right, BESIDE), "SUPPORT_LOST"), reason="AMBIGUOUS", graph_state=None)
+    read = beside_faults._sides
+
+    def counted(uow, record, frames):
+        versions.append(record.map_version)
+        return read(uow, record, frames)
+
+    monkeypatch.setattr(beside_faults, "_sides", counted)
+    monkeypatch.setattr(beside_faults, "LOOPS_AT_ONCE", 2)
+    await town.optimised(geometry)
+    assert len(geometry.asked) > 5 and versions == sorted(set(versions))
 
 
 async def test_a_contradicted_loop_that_agrees_with_no_side_of_a_slip_stays_ambiguous():

@@ -48,14 +48,29 @@ class _Side:
         return end.key.session == self.submap.key.session and self.after < end.ordinal < self.before
 
 
+class MendedSteps:
+    """The sides of the broken steps that a version of a map has mended, read once for all pages of loops."""
+
+    def __init__(self) -> None:
+        """Of no version yet."""
+        self._of: dict[tuple[int, int], list[_Side]] = {}
+
+    def sides(self, uow: UnitOfWork, record: MapRecord, frames: MapFrames) -> list[_Side]:
+        """Both ends of each step of the version in force by `record`."""
+        version = record.number, record.map_version
+        if version not in self._of:
+            self._of[version] = _sides(uow, record, frames)
+        return self._of[version]
+
+
 def loops_beside_faults(
-    uow: UnitOfWork, record: MapRecord, frames: MapFrames, rules: VerificationConfig, after: int
+    uow: UnitOfWork, record: MapRecord, frames: MapFrames, rules: VerificationConfig, steps: MendedSteps, after: int
 ) -> tuple[list[tuple[LoopRecord, Matrix4]], int | None]:
     """The ambiguous loops of a map that agree with one side of a mended step, and T_match_query (4, 4) by that side.
 
     Of a page of loops numbered above `after`; and where the next page begins, None after the last.
     """
-    sides = _sides(uow, record, frames)
+    sides = steps.sides(uow, record, frames)
     if not sides:
         return [], None
     page = uow.loops.rejected(record.tenant, record.map_id, ["AMBIGUOUS"], after=after, limit=LOOPS_AT_ONCE)

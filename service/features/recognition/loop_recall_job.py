@@ -33,7 +33,7 @@ from revisit.service.features.index.place_memory import RecalledPlace
 from revisit.service.features.loops.claims import rules_of, unjudged, verdict_evidence
 from revisit.service.features.loops.rows import Change, LoopStanding, change_loop, decided_by_person
 from revisit.service.features.operations.progress import OperationCancelled, Progress
-from revisit.service.features.recognition.beside_faults import LOOPS_AT_ONCE, loops_beside_faults
+from revisit.service.features.recognition.beside_faults import LOOPS_AT_ONCE, MendedSteps, loops_beside_faults
 from revisit.service.ports.job_context import JobContext
 from revisit.service.ports.job_queue import CANCELLED, Lease
 from revisit.service.ports.recogniser import PlaceRecogniser
@@ -125,7 +125,9 @@ def loops_to_recall(
 
     Read page by page, so that a large map holds up nobody.
     """
-    beside = _found(transactions, partial(_beside_faults, policy=policy, tenant=tenant, map_id=map_id), progress)
+    steps = MendedSteps()
+    page = partial(_beside_faults, policy=policy, tenant=tenant, map_id=map_id, steps=steps)
+    beside = _found(transactions, page, progress)
     near = _found(transactions, partial(_page, policy=policy, tenant=tenant, map_id=map_id), progress)
     best = [
         *islice(beside, 2 * MOST_RECALLED),
@@ -144,13 +146,15 @@ def _found(transactions: Transactions, page: Callable[..., _Page], progress: Pro
         yield from found
 
 
-def _beside_faults(uow: UnitOfWork, policy: Policy, tenant: TenantId, map_id: str, after: int) -> _Page:
+def _beside_faults(
+    uow: UnitOfWork, policy: Policy, tenant: TenantId, map_id: str, steps: MendedSteps, after: int
+) -> _Page:
     """Ambiguous loops beside faults of odometry that the version in force has mended."""
     record = uow.maps.get(tenant, map_id)
     if record is None or not record.map_version:
         return [], None
     frames, rules = MapFrames(uow, tenant, map_id), policy.for_map(record).verification
-    loops, following = loops_beside_faults(uow, record, frames, rules, after)
+    loops, following = loops_beside_faults(uow, record, frames, rules, steps, after)
     return [_Found(record, loop, T) for loop, T in loops if not _was_tested(loop, T)], following
 
 
