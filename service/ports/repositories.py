@@ -256,6 +256,12 @@ class LoopRepository(Repository[LoopRecord], Protocol):
         """
         ...
 
+    def measured(self, tenant: TenantId, map_id: str, *, after: int, limit: int) -> list[LoopRecord]:
+        """The next `limit` accepted loops of a map numbered above `after`, in their order; of their evidence only the
+        measured covariance can be relied on.
+        """
+        ...
+
     def telling(self, tenant: TenantId, query_numbers: Sequence[int], reasons: Sequence[str]) -> list[LoopRecord]:
         """Those of these queries (at most 1000) that were accepted, or have one of `reasons`: by query and number."""
         ...

@@ -22,7 +22,7 @@ LARGER = {
     "SubmapRepository": 24,  # nine reads that are no list of rows, each of one or two features
     "JobRepository": 18,
     "ScanRepository": 20,
-    "LoopRepository": 19,
+    "LoopRepository": 20,
     "WebhookRepository": 18,
     "AwaitedJobs": 16,
     "JobQueue": 13,  # four smaller ports by their user: worker, supervisor, progress, drives in turn

@@ -89,6 +89,7 @@ CALLS = {
     "SqlSubmaps.found": lambda uow: uow.submaps.found(TENANT, [1]),
     "SqlSubmaps.path": lambda uow: [uow.submaps.path(TENANT, "town", "monday", 0, 5, back=back) for back in (0, 1)],
     "SqlLoops.accepted": lambda uow: uow.loops.accepted(TENANT, "town", after=1, limit=5, graph_state=None),
+    "SqlLoops.measured": lambda uow: uow.loops.measured(TENANT, "town", after=1, limit=5),
     "SqlLoops.telling": lambda uow: uow.loops.telling(TENANT, [1, 2], ["AMBIGUOUS"]),
     "SqlLoops.rejected": lambda uow: uow.loops.rejected(TENANT, "town", ["LOW_OVERLAP"], after=1, limit=5),
     "SqlLoops.reasons": lambda uow: uow.loops.reasons(TENANT, [1, 2]),

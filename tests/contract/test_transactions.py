@@ -6,6 +6,7 @@ import threading
 from dataclasses import replace
 from functools import partial
 
+import numpy as np
 import pytest
 
 from revisit.service.domain.errors import AlreadyExists, NotFound
@@ -198,6 +199,33 @@ def test_the_ends_of_loops_that_were_rejected_for_some_reasons_are_told_by_numbe
     assert [one.number for one in told(after=numbers["y"])] == [numbers["z"]]
     assert [one.number for one in told(reasons=["AMBIGUOUS"])] == [numbers["alike"]]
     assert told(OTHER) == [] and told(reasons=[]) == []
+
+
+def test_accepted_loops_are_told_by_number_with_the_covariance_that_was_measured(write, read):
+    *_, first, second, loop = write(fill)
+    rng = np.random.default_rng(1)
+    some = {
+        "measured": {"measurement": {"rmse_m": 0.1, "covariance": rng.normal(size=(6, 6)).tolist(), "rivals": []}},
+        "flat": {"recall": {"reason": "x"}, "measurement": {"covariance": rng.normal(size=36).tolist()}},
+        "quoted": {"doubts": {"X": {"words": '"covariance":[1]'}}, "measurement": {"covariance": [[1.5] * 6] * 6}},
+        "twice": {"covariance": 3, "measurement": {"covariance": [[0.25] * 6] * 6}},
+        "none": {"measurement": {}},
+    }
+    made = [replace(a_loop(first.number, second.number), loop_id=one, evidence=its) for one, its in some.items()]
+    rejected = replace(made[0], loop_id="rejected", state="REJECTED", reason="LOW_OVERLAP")
+    write(lambda uow: uow.loops.add_all([*made, rejected]))
+
+    def told(after=loop.number, limit=9, tenant=TENANT):
+        return read(lambda uow: uow.loops.measured(tenant, "town", after=after, limit=limit))
+
+    for one in told():
+        assert one.evidence.get("measurement", {}).get("covariance", []) == some[one.loop_id]["measurement"].get(
+            "covariance", []
+        )
+        stored = read(lambda uow, one=one: uow.loops.get(TENANT, "town", one.loop_id))
+        assert replace(stored, evidence=one.evidence) == one
+    assert [one.loop_id for one in told()] == list(some) and told(0, tenant=OTHER) == []
+    assert [one.loop_id for one in told(after=0, limit=2)] == [loop.loop_id, "measured"]
 
 
 def test_loops_are_in_the_order_in_which_they_were_accepted(write, read):

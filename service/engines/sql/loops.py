@@ -7,12 +7,13 @@ from collections.abc import Sequence
 from functools import cache
 from typing import Any
 
-from sqlalchemy import BigInteger, BindParameter, Select, and_, bindparam, func, or_, select, text
+from sqlalchemy import BigInteger, BindParameter, Select, and_, bindparam, func, or_, select, text, type_coerce
 
 from revisit.service.domain.identity import TenantId
 from revisit.service.domain.records import LoopRecord
 from revisit.service.domain.states import LoopState
 from revisit.service.engines.sql import tables
+from revisit.service.engines.sql.packed_columns import MeasuredCovariance
 from revisit.service.engines.sql.repositories import Scalar, SqlRepository, matches, of_tenant, seen
 from revisit.service.ports.repositories import LoopEnds
 
@@ -27,6 +28,13 @@ class SqlLoops(SqlRepository[LoopRecord]):
         asked = of_tenant(tenant, {"map_id": map_id, **equals})
         query = _accepted(self._rows_where(asked), limited=limit is not None)
         rows = self._connection.execute(query, {**asked, "after_seq": after, "at_most": limit})
+        return [self._of(row) for row in rows]
+
+    def measured(self, tenant: TenantId, map_id: str, *, after: int, limit: int) -> list[LoopRecord]:
+        """See `LoopRepository`."""
+        asked = of_tenant(tenant, {"map_id": map_id, "state": LoopState.ACCEPTED.value})
+        query = _measured(self._sees_all, tuple(asked))
+        rows = self._connection.execute(query, {**asked, "after_number": after, "at_most": limit})
         return [self._of(row) for row in rows]
 
     def telling(self, tenant: TenantId, query_numbers: Sequence[int], reasons: Sequence[str]) -> list[LoopRecord]:
@@ -56,6 +64,16 @@ def _accepted(rows: Select[Any], *, limited: bool) -> Select[Any]:
     # The condition of the partial index, word for word.
     accepted = rows.where(text(tables.ACCEPTED), seq > bindparam("after_seq")).order_by(seq)
     return accepted.limit(bindparam("at_most")) if limited else accepted
+
+
+@cache
+def _measured(sees_all: bool, given: tuple[str, ...]) -> Select[Any]:
+    """The next `at_most` loops above `after_number`, with as much of their evidence as a pose graph reads."""
+    loops = tables.loops.c
+    columns = (type_coerce(one, MeasuredCovariance()) if one is loops.evidence else one for one in loops)
+    its, after = matches(tables.loops, dict.fromkeys(given, "")), loops.number > bindparam("after_number")
+    query = select(*columns).where(its, after, seen(tables.loops, sees_all))
+    return query.order_by(loops.number).limit(bindparam("at_most"))
 
 
 @cache

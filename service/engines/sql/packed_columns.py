@@ -65,7 +65,24 @@ class PackedEvidence(TypeDecorator[dict[str, Any]]):
         return unpacked_brief(value) if value[:1] in (_OF_PAIR, _OF_RULES) else dict(json.loads(value))
 
 
+class MeasuredCovariance(PackedEvidence):
+    """Evidence as a pose graph reads it: of JSON nothing but the covariance is parsed, a fifth of it."""
+
+    cache_ok = True
+
+    def process_result_value(self, value: bytes | None, dialect: Dialect) -> dict[str, Any] | None:
+        """Evidence with the covariance; all of it where that is packed, or is not told by its name alone."""
+        if value is None or value[:1] in (_OF_PAIR, _OF_RULES) or value.count(_COVARIANCE) != 1:
+            return super().process_result_value(value, dialect)
+        covariance, _ = _JSON.raw_decode(value.decode(), value.index(_COVARIANCE) + len(_COVARIANCE))
+        return {"measurement": {"covariance": covariance}}
+
+
 _OF_PAIR, _OF_RULES = b"\x01", b"\x02"
+_COVARIANCE = b'"covariance":'
+"""No text within JSON has it: there a quotation mark follows a backslash."""
+
+_JSON = json.JSONDecoder()
 _SHARES = ("overlap", "contrast", "seen_through", "rmse_m", "common_share", "enough_share")
 _STEP = 1e-4
 _UNKNOWN = -(2**15)

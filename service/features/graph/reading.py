@@ -15,7 +15,6 @@ from revisit.core.pose_graph.graph import OdometryModel
 from revisit.service.domain.identity import TenantId
 from revisit.service.domain.policy import Policy
 from revisit.service.domain.records import AnchorRecord, LoopRecord, MapRecord, SessionPosesRecord, SessionRecord
-from revisit.service.domain.states import LoopState
 from revisit.service.features.graph.anchors import read_anchors
 from revisit.service.ports.map_optimiser import AUDITED, MapGraph, SessionTrack, TrackLoop
 from revisit.service.ports.repositories import PlacedSubmap
@@ -71,7 +70,7 @@ def _accepted(uow: UnitOfWork, tenant: TenantId, map_id: str) -> tuple[tuple[Loo
     of_graph: list[TrackLoop] = []
     after: int | None = 0
     while after is not None:
-        page = uow.loops.find(tenant, after=after, limit=_PAGE, map_id=map_id, state=LoopState.ACCEPTED.value)
+        page = uow.loops.measured(tenant, map_id, after=after, limit=_PAGE)
         known = [loop for loop in page if loop.T_match_query is not None]
         records += [replace(loop, evidence=_NO_EVIDENCE) for loop in known]
         of_graph += [track_loop(loop) for loop in known]

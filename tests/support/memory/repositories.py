@@ -317,6 +317,15 @@ class MemoryLoops(MemoryRepository[LoopRecord]):
         found = self.find(tenant, map_id=map_id, state=LoopState.ACCEPTED.value, **equals)
         return sorted((loop for loop in found if loop.seq > after), key=lambda loop: loop.seq)[:limit]
 
+    def measured(self, tenant: TenantId, map_id: str, *, after: int, limit: int) -> list[LoopRecord]:
+        """See `LoopRepository`."""
+        rows = self.find(tenant, after=after, limit=limit, map_id=map_id, state=LoopState.ACCEPTED.value)
+        measured = (row.evidence.get("measurement", {}).get("covariance", []) for row in rows)
+        return [
+            dataclasses.replace(row, evidence={"measurement": {"covariance": its}})
+            for row, its in zip(rows, measured, strict=True)
+        ]
+
     def telling(self, tenant: TenantId, query_numbers: Sequence[int], reasons: Sequence[str]) -> list[LoopRecord]:
         """See `LoopRepository`."""
         found = [loop for number in sorted(set(query_numbers)) for loop in self.find(tenant, query_number=number)]
