@@ -113,14 +113,34 @@ def optimise(
     `anchors` hold what the loops have made of each component in the world, and set no loop aside (see `grounding`);
     those methods do without them. Raises BadField where one names no submap, or has numbers that are none.
     """
-    require_anchors(anchors, {one.session: len(one) for one in graph.trajectories})
+    return by_loops(graph, robustness, progress).held(anchors)
+
+
+@dataclass(frozen=True)
+class SolvedByLoops:
+    """The answer by drives and loops, and the graph as that has it. Anchors hold none of a method for comparison."""
+
+    graph: PoseGraph
+    answer: OptimisedGraph
+    may_hold: bool
+
+    def held(self, anchors: Sequence[Anchor]) -> OptimisedGraph:
+        """The answer by these anchors, too. Raises BadField where one names no submap, or has numbers that are none."""
+        require_anchors(anchors, {one.session: len(one) for one in self.graph.trajectories})
+        return _on_earth(self.graph, self.answer, anchors) if anchors and self.may_hold else self.answer
+
+
+def by_loops(
+    graph: PoseGraph, robustness: Robustness = Robustness.COMMIT, progress: Callable[[int, int], None] = lambda *_: None
+) -> SolvedByLoops:
+    """See `optimise`: what it finds before it asks the anchors, which is the same whatever these are."""
     if robustness not in (Robustness.ONLINE, Robustness.COMMIT):
-        return _judged(graph, robustness, progress)
+        return SolvedByLoops(graph, _judged(graph, robustness, progress), may_hold=False)
     graph = straightened(rescaled(graph, variance_factor(graph)))
     answer = _judged(graph, robustness, progress)
     if robustness is Robustness.COMMIT:
         graph, answer = _without_faults(graph, answer, progress)
-    return _on_earth(graph, answer, anchors) if anchors else answer
+    return SolvedByLoops(graph, answer, may_hold=True)
 
 
 def _on_earth(graph: PoseGraph, answer: OptimisedGraph, anchors: Sequence[Anchor]) -> OptimisedGraph:

@@ -31,7 +31,7 @@ from revisit.service.ports.map_optimiser import (
 if TYPE_CHECKING:
     from revisit.core.pose_graph.anchors import Anchor
     from revisit.core.pose_graph.graph import LoopEdge, Node, PoseGraph
-    from revisit.core.pose_graph.optimisation import OptimisedGraph
+    from revisit.core.pose_graph.optimisation import OptimisedGraph, SolvedByLoops
 
 Array64 = NDArray[np.float64]
 
@@ -39,12 +39,12 @@ Array64 = NDArray[np.float64]
 class CoreMapOptimiser:
     """`MapOptimiser` by `core.pose_graph`."""
 
-    def optimise(self, graph: MapGraph, progress: Progress) -> OptimisedMap:
+    def by_loops(self, graph: MapGraph, progress: Progress) -> CoreMapByLoops:
         """See `MapOptimiser`."""
-        from revisit.core.pose_graph.optimisation import optimise
+        from revisit.core.pose_graph.optimisation import by_loops
 
         named = NamedGraph.of(graph)
-        return named.answer(optimise(named.posed, progress=partial(progress, "OPTIMISE"), anchors=named.fixed))
+        return CoreMapByLoops(named, by_loops(named.posed, progress=partial(progress, "OPTIMISE")))
 
     def solved(self, graph: MapGraph, tracks: Sequence[SolvedTrack]) -> SolvedMap:
         """See `MapOptimiser`."""
@@ -53,6 +53,19 @@ class CoreMapOptimiser:
         return_free_memory()  # its equations lie beside the free memory of earlier work, not in it
         named = NamedGraph.of(graph)
         return CoreSolvedMap(graph, named.posed, named.names, tracks)
+
+
+@dataclass(frozen=True)
+class CoreMapByLoops:
+    """`MapByLoops` by `core.pose_graph`."""
+
+    named: NamedGraph
+    solved: SolvedByLoops
+
+    def held(self, fixed: Sequence[TrackAnchor]) -> OptimisedMap:
+        """See `MapByLoops`."""
+        named = self.named.with_anchors(fixed)
+        return named.answer(self.solved.held(named.fixed))
 
 
 @dataclass(frozen=True)
@@ -89,6 +102,10 @@ class NamedGraph:
         anchors = tuple(names[number] for number in graph.anchors or sorted(names))
         posed = PoseGraph.of(trajectories, _edges(usable, nodes), anchors)
         return cls(graph, names, weighed(posed, graph.window_m), _anchors(graph.fixed, nodes), nodes)
+
+    def with_anchors(self, fixed: Sequence[TrackAnchor]) -> NamedGraph:
+        """The graph with these anchors instead of its own."""
+        return replace(self, fixed=_anchors(fixed, self._nodes))
 
     def edges(self, loops: Sequence[TrackLoop]) -> list[LoopEdge]:
         """Further loops between its submaps."""

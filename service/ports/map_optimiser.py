@@ -200,11 +200,21 @@ class SolvedMap(Protocol):
         ...
 
 
+class MapByLoops(Protocol):
+    """A map solved by its drives and loops, before any anchor is asked."""
+
+    def held(self, fixed: Sequence[TrackAnchor]) -> OptimisedMap:
+        """The map by these anchors, too: bit for bit as if its graph had no others."""
+        ...
+
+
 class MapOptimiser(Protocol):
     """Places the sessions of a map to each other."""
 
-    def optimise(self, graph: MapGraph, progress: Progress) -> OptimisedMap:
-        """The same graph gives the same answer, bit for bit. Tracks and loops answer in their order."""
+    def by_loops(self, graph: MapGraph, progress: Progress) -> MapByLoops:
+        """The map without the anchors of the graph. The same graph gives the same answer, bit for bit. Tracks and loops
+        answer in their order.
+        """
         ...
 
     def solved(self, graph: MapGraph, tracks: Sequence[SolvedTrack]) -> SolvedMap:

@@ -15,6 +15,7 @@ from revisit.cli.app import app
 from revisit.core.errors import BadField
 from revisit.core.geometry import geodesy, se3
 from revisit.core.geometry.se3 import pose_matrix
+from revisit.service.adapters.core_map_optimiser import CoreMapOptimiser
 from revisit.service.domain.identity import SessionKey
 from revisit.service.domain.states import AnchorFrame, AnchorKind, EventKind
 from revisit.service.features.anchors import calls
@@ -204,6 +205,22 @@ async def test_a_preview_says_what_anchors_would_do_and_keeps_nothing(world):
         one["name"]: (one["state"], one["reason"] or None, one["residual_m"]) for one in done.result["anchors"]
     } == judged
     assert done.result["others"] == []
+
+
+async def test_a_preview_solves_the_loops_of_a_map_once(world):
+    made = fleet_in(world, "town", 0.0, sessions=2, submaps=30).fleet
+    with_stamps(world)
+    solutions = []
+
+    class Counting(CoreMapOptimiser):
+        def by_loops(self, graph, progress):
+            solutions.append(len(graph.loops))
+            return super().by_loops(graph, progress)
+
+    world.optimiser = Counting()
+    await world.use_cases.anchors.preview(TENANT, SessionKey("town", "s0"), new_anchors(made, "s0", sigma_m=0.2))
+    world.work_off()
+    assert len(solutions) == 1
 
 
 async def test_a_preview_names_the_anchors_that_others_would_set_aside():

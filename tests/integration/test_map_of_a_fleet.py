@@ -162,11 +162,11 @@ async def test_a_graph_that_loses_a_session_while_it_is_optimised_is_read_again(
     optimiser, readings = world.optimiser, []
 
     class Deleting(CoreMapOptimiser):
-        def optimise(self, graph, progress):
+        def by_loops(self, graph, progress):
             readings.append(len(graph.tracks))
             if len(readings) == 1:
                 world.context.transactions.write(lambda uow: delete_one(uow, made.map_id)).result()
-            return optimiser.optimise(graph, progress)
+            return optimiser.by_loops(graph, progress)
 
     world.optimiser = Deleting()
     world.work_off()
@@ -194,9 +194,9 @@ async def test_a_revert_is_not_undone_by_an_optimisation_that_was_under_way():
     loop, optimiser = asyncio.get_running_loop(), world.optimiser
 
     class Reverting(CoreMapOptimiser):
-        def optimise(self, graph, progress):
+        def by_loops(self, graph, progress):
             asyncio.run_coroutine_threadsafe(cases.revert(TENANT, made.map_id, 1), loop).result(PATIENCE_S)
-            return optimiser.optimise(graph, progress)
+            return optimiser.by_loops(graph, progress)
 
     world.optimiser = Reverting()
     await asyncio.to_thread(world.worker().run, lease)

@@ -16,8 +16,15 @@ from revisit.service.features.graph.reading import MapTask
 from revisit.service.features.graph.session_poses import PackedSubmaps
 from revisit.service.ports.blobs import NEURAL_MAP_BLOB
 from revisit.service.ports.job_context import JobContext
-from revisit.service.ports.map_merger import MapMerger
-from revisit.service.ports.map_optimiser import MapOptimiser, OptimisedMap, Progress, RefusedJoin
+from revisit.service.ports.map_merger import MapMerger, Surfaces
+from revisit.service.ports.map_optimiser import (
+    MapByLoops,
+    MapOptimiser,
+    OptimisedMap,
+    Progress,
+    RefusedJoin,
+    TrackAnchor,
+)
 
 VERSION_PAIRS = 100
 """Pairs of submaps, about, whose surfaces are compared for a version: 0.03 to 0.17 s of a core each."""
@@ -31,6 +38,9 @@ GROWTH = 0.1
 
 Sessions = frozenset[int]
 """Numbers of sessions."""
+
+Refused = frozenset[tuple[int, str]]
+"""Loops by number, each with the reason why it counts for nothing."""
 
 
 @dataclass(frozen=True)
@@ -63,11 +73,34 @@ class JoinAudit:
 
         The graph is solved again after each refusal, which takes a loop of it or more. Raises as `progress` does.
         """
-        asked = _Audit(self._context, self._merger, task, progress)
+        return self.solved_each(task, (task.graph.fixed,), progress)[0]
+
+    def solved_each(
+        self, task: MapTask, anchors: Iterable[tuple[TrackAnchor, ...]], progress: Progress
+    ) -> list[OptimisedMap]:
+        """As `solved`, by each of several sets of anchors instead of the map's own: its loops are solved once."""
+        surfaces = self._merger.surfaces(partial(_neural_map, self._context, TenantId(task.map.tenant)))
+        by_loops: dict[Refused, MapByLoops] = {}
+        return [self._solved(task, fixed, by_loops, surfaces, progress) for fixed in anchors]
+
+    def _solved(
+        self,
+        task: MapTask,
+        fixed: tuple[TrackAnchor, ...],
+        by_loops: dict[Refused, MapByLoops],
+        surfaces: Surfaces,
+        progress: Progress,
+    ) -> OptimisedMap:
+        """The solution by some anchors; `by_loops` keeps those without any, by the loops that are refused."""
+        scale = self._context.policy.for_map(task.map).scene_scale
+        asked = _Audit(scale, self._merger, task, surfaces, progress)
         refused: tuple[RefusedJoin, ...] = ()
         while True:
-            graph = replace(task.graph, refused=dict(loops_between(task, refused)))
-            optimised = self._optimiser.optimise(graph, progress)
+            loops = dict(loops_between(task, refused))
+            key = frozenset(loops.items())
+            if key not in by_loops:
+                by_loops[key] = self._optimiser.by_loops(replace(task.graph, refused=loops), progress)
+            optimised = by_loops[key].held(fixed)
             more = asked.refused(optimised)
             if not more:
                 return replace(optimised, refused_joins=refused, audited=_audited(task))
@@ -81,14 +114,14 @@ class JoinAudit:
 class _Audit:
     """The audit of one map for one version; a join that it allowed it does not ask about again."""
 
-    def __init__(self, context: JobContext, merger: MapMerger, task: MapTask, progress: Progress) -> None:
-        self._context = context
+    def __init__(self, scale: float, merger: MapMerger, task: MapTask, surfaces: Surfaces, progress: Progress) -> None:
+        """`scale` is that of the scene."""
         self._merger = merger
         self._task = task
         self._progress = progress
-        self._scale = context.policy.for_map(task.map).scene_scale
+        self._scale = scale
         self._allowed: set[frozenset[Sessions]] = set()
-        self._surfaces = merger.surfaces(partial(self._read, TenantId(task.map.tenant)))
+        self._surfaces = surfaces
 
     def refused(self, optimised: OptimisedMap) -> tuple[RefusedJoin, ...]:
         """The joins of a solution that the surfaces speak against.
@@ -123,12 +156,13 @@ class _Audit:
         first, second = (_poses(self._task, optimised, side) for side in sorted(sides, key=min))
         return self._merger.audit(first, second, self._surfaces, self._scale, most, self._progress)
 
-    def _read(self, tenant: TenantId, number: int) -> bytes:
-        """The neural map of a submap. Raises DataLoss where it has none, or is gone."""
-        row = self._context.transactions.read(lambda uow: uow.submaps.numbered(tenant, [number])).result().get(number)
-        if row is None or row.neural_map_sha256 is None:
-            raise DataLoss(f"submap {number} has no neural map")
-        return self._context.blobs.get(tenant, NEURAL_MAP_BLOB, row.neural_map_sha256)
+
+def _neural_map(context: JobContext, tenant: TenantId, number: int) -> bytes:
+    """The neural map of a submap. Raises DataLoss where it has none, or is gone."""
+    row = context.transactions.read(lambda uow: uow.submaps.numbered(tenant, [number])).result().get(number)
+    if row is None or row.neural_map_sha256 is None:
+        raise DataLoss(f"submap {number} has no neural map")
+    return context.blobs.get(tenant, NEURAL_MAP_BLOB, row.neural_map_sha256)
 
 
 def loops_between(task: MapTask, joins: Iterable[RefusedJoin]) -> Iterator[tuple[int, str]]:

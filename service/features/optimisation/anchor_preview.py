@@ -21,7 +21,7 @@ from revisit.service.features.optimisation.job import NO_SUBMAPS, MapOptimisatio
 from revisit.service.features.optimisation.rows import MAP_DELETED
 from revisit.service.ports.job_context import JobContext
 from revisit.service.ports.job_queue import CANCELLED, Lease
-from revisit.service.ports.map_optimiser import GEOREFERENCES, OptimisedMap
+from revisit.service.ports.map_optimiser import GEOREFERENCES, OptimisedMap, TrackAnchor
 from revisit.service.ports.transactions import UnitOfWork
 
 OTHERS = 100
@@ -36,10 +36,9 @@ class _Asked:
     anchors: tuple[AnchorRecord, ...]
 
     @property
-    def without(self) -> MapTask:
-        """The map as it is."""
-        stored = tuple(one for one in self.task.graph.fixed if one.number > 0)
-        return replace(self.task, graph=replace(self.task.graph, fixed=stored))
+    def without(self) -> tuple[TrackAnchor, ...]:
+        """The anchors of the map as it is."""
+        return tuple(one for one in self.task.graph.fixed if one.number > 0)
 
 
 class AnchorPreview:
@@ -66,7 +65,8 @@ class AnchorPreview:
         if asked is None or not asked.task.graph.tracks:
             return MAP_DELETED if asked is None else NO_SUBMAPS
         self._optimisation.make_room(tenant, question.map_id)
-        before, after = (self._optimisation.solved(one, progress) for one in (asked.without, asked.task))
+        fixed = asked.without, asked.task.graph.fixed
+        before, after = self._optimisation.solved_each(asked.task, fixed, progress)
         changed = _changed(asked, before, after)
         named = self._context.transactions.read(lambda uow: uow.anchors.numbered(tenant, changed[:OTHERS])).result()
         return {

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from functools import partial
 
 from revisit.service.domain.identity import TenantId
@@ -16,7 +17,7 @@ from revisit.service.features.optimisation.rows import MAP_DELETED, VersionCommi
 from revisit.service.ports.job_context import JobContext
 from revisit.service.ports.job_queue import CANCELLED, Lease
 from revisit.service.ports.map_merger import MapMerger
-from revisit.service.ports.map_optimiser import MapOptimiser, OptimisedMap
+from revisit.service.ports.map_optimiser import MapOptimiser, OptimisedMap, TrackAnchor
 from revisit.service.ports.recogniser import PlaceKeeper
 
 NO_SUBMAPS = {"outcome": "the map holds no submaps"}
@@ -74,9 +75,11 @@ class MapOptimisation:
         if self._context.transactions.read(lambda uow: uow.loops.count(tenant, **accepted)).result() >= LARGE_MAP_LOOPS:
             self._places.release()
 
-    def solved(self, task: MapTask, progress: Progress) -> OptimisedMap:
-        """The solution of a map, which the next version would have. Raises as `progress` does."""
-        return self._audit.solved(task, progress)
+    def solved_each(
+        self, task: MapTask, anchors: Iterable[tuple[TrackAnchor, ...]], progress: Progress
+    ) -> list[OptimisedMap]:
+        """The solution of a map by each of several sets of anchors instead of its own. Raises as `progress` does."""
+        return self._audit.solved_each(task, anchors, progress)
 
     def _ended(self, lease: Lease, progress: Progress) -> bool:
         """One reading of the graph: whether the job has ended by it."""
@@ -88,7 +91,7 @@ class MapOptimisation:
             self._context.complete(lease, MAP_DELETED if task is None else NO_SUBMAPS)
             return True
         failpoint("optimise.after_read")
-        optimised = self.solved(task, progress)
+        optimised = self._audit.solved(task, progress)
         failpoint("optimise.after_solution")
         progress("COMMIT")
         commit = VersionCommit(lease, task, optimised, self._context.policy, self._context.clock.wall_ns())
