@@ -96,6 +96,14 @@ def write_points(
     are rounded to so many steps from a neighbour's; what is read is written again as the same bytes. `mixtures` are for
     training: with others than the learned ones nothing can be read.
     """
+    return written_points(codes, features, normal_steps, offset_unit, normal_unit, mixtures)[:2]
+
+
+def written_points(
+    codes: PlaneCodes, features: Codes, normal_steps: int, offset_unit: int, normal_unit: int = 1,
+    mixtures: Mixtures | None = None,
+) -> tuple[Form, bytes, PlaneCodes]:  # fmt: skip
+    """As `write_points`, and the codes as they will be read."""
     rows = distinct_rows(codes.voxels)
     codes, features = codes[rows], features[rows]
     low = codes.voxels.min(axis=0, initial=1 << 30) if len(codes.voxels) else np.zeros(3, np.int32)
@@ -108,25 +116,26 @@ def write_points(
     room = 1024 + _BYTES_EACH * len(voxels) * (1 + features.shape[1] // 4)
     while True:
         data = np.zeros(room, dtype=np.uint8)
-        used = _write(form, voxels, codes.planes, features, data, mixtures or learned_mixtures())
+        used, read = _write(form, voxels, codes.planes, features, data, mixtures or learned_mixtures())
         if used <= room:
-            return form, data[:used].tobytes()
+            return form, data[:used].tobytes(), read
         room = used
 
 
 def _write(
     form: Form, voxels: Codes, planes: Codes, features: Codes, data: NDArray[np.uint8], mixtures: Mixtures
-) -> int:
-    """Write into `data`; how many bytes that takes."""
+) -> tuple[int, PlaneCodes]:
+    """Write into `data`: how many bytes that takes, and the codes as they will be read."""
     if form.count == 0:
-        return 0
+        return 0, PlaneCodes(_NOTHING, planes)
     coder, low = start(data, False), np.array(form.low, dtype=np.int64)
     level = code_mixed_octree(coder, data, mixtures.octree, voxels, low, form.depth, form.count)
     rows, vectors = rows_of(table_of(voxels), level.voxels), _vectors(form.normal_steps)
     steps = form.normal_steps, form.normal_unit, form.offset_unit
-    code_guided_planes(coder, data, mixtures.planes, level, low, planes[rows], vectors, *steps)
+    read = planes[rows]
+    code_guided_planes(coder, data, mixtures.planes, level, low, read, vectors, *steps)
     _code_features(form, coder, data, features[rows])
-    return finish(coder, data)
+    return finish(coder, data), PlaneCodes(_in_map(form, level.voxels), read)
 
 
 def read_points(form: Form, stream: bytes) -> tuple[PlaneCodes, Codes]:
@@ -134,12 +143,17 @@ def read_points(form: Form, stream: bytes) -> tuple[PlaneCodes, Codes]:
     form.checked()
     planes, features = np.zeros((form.count, 4), np.int32), np.zeros((form.count, form.features), np.int32)
     if form.count == 0:
-        return PlaneCodes(np.zeros((0, 3), np.int32), planes), features
+        return PlaneCodes(_NOTHING, planes), features
     data = np.frombuffer(stream, np.uint8).copy()  # the compiled coder could also write
     coder = start(data, True)
     voxels = _read_planes(form, coder, data, planes)
     _code_features(form, coder, data, features)
-    return PlaneCodes(voxels + np.asarray(form.low, dtype=np.int32), planes), features
+    return PlaneCodes(_in_map(form, voxels), planes), features
+
+
+def _in_map(form: Form, voxels: Codes) -> Codes:
+    """Voxels (n, 3) above the lowest one of a form, as voxels of its map."""
+    return voxels + np.asarray(form.low, dtype=np.int32)
 
 
 def _read_planes(form: Form, coder: Coder, data: NDArray[np.uint8], planes: Codes) -> Codes:

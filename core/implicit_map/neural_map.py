@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
@@ -10,7 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from revisit.core.codec import neural_map as codec
-from revisit.core.codec.neural_points import Form, read_points, write_points
+from revisit.core.codec.known_points import KnownPoints
+from revisit.core.codec.neural_points import Codes, Form, PlaneCodes, read_points, written_points
 from revisit.core.config import Field, ImplicitMapConfig
 from revisit.core.errors import BadField, BadTransform, DataLoss, DescriptorModelMismatch
 from revisit.core.geometry.level_frame import LevelFrame
@@ -66,14 +68,17 @@ class NeuralMap:
         """The map whose field is the blended distance to the points' tangent planes."""
         return cls(points, np.zeros((len(points), 0), np.float32), stamps_ns, None, config, frame)
 
-    def to_blob(self) -> bytes:
+    def to_blob(self, known: KnownPoints | None = None) -> bytes:
         """The compact stored form (docs/decisions/0287): features rounded to multiples of FEATURE_STEP,
-        normals of a map without features to STORED_NORMAL_UNIT steps from their neighbours'.
+        normals of a map without features to STORED_NORMAL_UNIT steps from their neighbours'. `known` keeps its points
+        as they will be read.
         """
         codes = plane_codes(self.points, self.config.resolution)
         features = np.clip(np.rint(self.features / FEATURE_STEP), -127, 127).astype(np.int32)
         unit = STORED_NORMAL_UNIT if self.decoder is None else 1  # features were fitted to the planes as they are
-        form, stream = write_points(codes, features, NORMAL_STEPS, OFFSET_UNIT, unit)
+        form, stream, read = written_points(codes, features, NORMAL_STEPS, OFFSET_UNIT, unit)
+        if known is not None:
+            known.keep(form, stream, read)
         header: dict[str, Any] = {
             "points": form.announced(), "field": [self.config.resolution, self.config.weight_power]
         }  # fmt: skip
@@ -86,13 +91,16 @@ class NeuralMap:
         return codec.pack(header, sections)
 
     @classmethod
-    def from_blob(cls, data: bytes, decoder: DecoderWeights, config: ImplicitMapConfig) -> NeuralMap:
+    def from_blob(
+        cls, data: bytes, decoder: DecoderWeights, config: ImplicitMapConfig, known: KnownPoints | None = None
+    ) -> NeuralMap:
         """The map in `data`; a learned one with the decoder it brings, or else with `decoder`.
 
-        Raises DataLoss for damage, FormerForm, and DescriptorModelMismatch where a learned map has another decoder.
+        Its points may be `known`. Raises DataLoss for damage, FormerForm, and DescriptorModelMismatch where a learned
+        map has another decoder.
         """
         try:
-            return _read(data, decoder, config)
+            return _read(data, decoder, config, read_points if known is None else known.read)
         except (KeyError, IndexError, TypeError, ValueError, BadField) as error:
             raise DataLoss("the stored neural map cannot be read") from error
 
@@ -155,11 +163,14 @@ class NeuralMap:
         return np.asarray(blend_normals(*self._nearest(cloud), self.points.normals, self.config.weight_power))
 
 
-def _read(data: bytes, decoder: DecoderWeights, config: ImplicitMapConfig) -> NeuralMap:
+_PointReader = Callable[[Form, bytes], tuple[PlaneCodes, Codes]]
+
+
+def _read(data: bytes, decoder: DecoderWeights, config: ImplicitMapConfig, read: _PointReader) -> NeuralMap:
     header, (seen, stream, *rest) = codec.unpack(data)
     similarity, differences = codec.unpack_moments(seen)
     form = Form.of_header(header)
-    codes, features = read_points(form, stream)
+    codes, features = read(form, stream)
     resolution, power = map(float, header["field"])
     kind = Field.PLANES if header.get("decoder") is None else Field.LEARNED
     config = replace(config, resolution=resolution, weight_power=power, field=kind)

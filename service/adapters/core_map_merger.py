@@ -27,8 +27,8 @@ REACH_M = 25.0
 MOST_COMPARED = 100
 """Pairs of submaps for the comparison of surfaces, spread over the whole overlap: 0.1 s of a core each."""
 
-HELD_MAPS = 64
-"""Neural maps that are kept decoded: neighbours are compared one after another."""
+HELD_MAPS = 32
+"""Neural maps that are kept decoded, 1 MB each: neighbours are compared one after another."""
 
 
 class CoreMapMerger:

@@ -28,6 +28,7 @@ from revisit.core.scan_disagreement import ScanDisagreement
 from revisit.core.stages import stage_times
 from revisit.core.submap import Submap
 from revisit.core.surface import extract_surface
+from revisit.service.adapters.core_neural_maps import written
 from revisit.service.adapters.warmup import accompany, warm_up
 from revisit.service.large_blocks import return_free_memory
 from revisit.service.ports.recogniser import SubmapDescription
@@ -77,7 +78,7 @@ class CoreRecogniser:
         return SubmapDescription(
             descriptor=described.descriptor.vector,
             place=place,
-            neural_map=described.neural_map.to_blob(),
+            neural_map=written(described.neural_map),
             flags=described.flags,
             timings_s=timings_s,
         )

@@ -8,7 +8,9 @@ import zlib
 import numpy as np
 import pytest
 
-from revisit.core.codec.neural_points import Form, PlaneCodes, read_points, write_points
+from revisit.core.codec import known_points
+from revisit.core.codec.known_points import KnownPoints
+from revisit.core.codec.neural_points import Form, PlaneCodes, read_points, write_points, written_points
 from revisit.core.errors import DataLoss
 from revisit.core.geometry import octahedral
 from revisit.core.kernels import mixed_coder
@@ -50,6 +52,50 @@ def test_what_is_written_is_read_whatever_it_is(count, reach, features):
     form, stream = write_points(codes, values, 15, 48)
     read, found = read_points(form, stream)
     assert np.array_equal(in_order(read, found), in_order(codes, values))
+
+
+@pytest.mark.parametrize("written", [True, False])
+def test_known_points_are_those_that_reading_gives(monkeypatch, written):
+    """Whether they were written or read before; in the same order."""
+    known = KnownPoints(most_bytes=2**20)
+    for codes in (street(), random_codes(np.random.default_rng(6), 2000, 9), street(0)):
+        form, stream, read = written_points(codes, np.zeros((len(codes.voxels), 0), np.int32), 15, 48, 2)
+        fresh = read_points(form, stream)
+        if written:
+            known.keep(form, stream, read)
+        else:
+            known.read(form, stream)
+        with monkeypatch.context() as patched:
+            patched.setattr(known_points, "read_points", None)
+            again = known.read(form, stream)
+        for one, other in (
+            (fresh[0].voxels, again[0].voxels),
+            (fresh[0].planes, again[0].planes),
+            (fresh[1], again[1]),
+        ):
+            assert one.dtype == other.dtype and one.shape == other.shape and one.tobytes() == other.tobytes()
+
+
+def test_known_points_are_bounded_in_bytes_and_none_are_kept_that_do_not_fit_their_form(monkeypatch):
+    asked, read = [], read_points
+    monkeypatch.setattr(known_points, "read_points", lambda form, stream: asked.append(1) or read(form, stream))
+    rng = np.random.default_rng(1)
+    some = [random_codes(rng, 2000, 9) for _ in range(4)]
+    forms = [write_points(codes, np.zeros((len(codes.voxels), 0), np.int32), 15, 48) for codes in some]
+    one = KnownPoints(most_bytes=2**20)
+    one.read(*forms[0])
+    known = KnownPoints(most_bytes=int(2.5 * one.held_bytes))
+    for number, reads in ((0, 2), (1, 3), (0, 3), (2, 4), (0, 4), (1, 5)):
+        known.read(*forms[number])
+        assert len(asked) == reads and 0 < known.held_bytes <= 2.5 * one.held_bytes
+    far = random_codes(rng, 40, 2**18)
+    features = np.ones((len(some[0].voxels), 1), np.int32)
+    none = np.zeros((len(far.voxels), 0), np.int32)
+    for form, stream in (write_points(far, none, 15, 48), write_points(some[0], features, 15, 48)):
+        before = known.held_bytes
+        for _ in range(2):
+            assert len(known.read(form, stream)[0].voxels) == form.count
+        assert known.held_bytes == before
 
 
 def test_normals_beside_others_are_rounded_to_two_steps_and_planes_keep_their_foot():
