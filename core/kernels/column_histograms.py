@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -16,6 +18,27 @@ SECTORS = 18
 REGIONS = LATITUDE_BANDS * SECTORS
 MIN_MEMBERS = 8
 """Fewer vertices in a column say nothing."""
+
+_SLOTS = 256  # of cosines: fine enough that no two edges of bins lie in one
+
+
+def _edges_of_bins() -> NDArray[np.float64]:
+    """The greatest cosine (ANGLE_BINS,) of an angle beyond each bin; below all cosines for the last one."""
+    edges = np.full(ANGLE_BINS, -2.0)
+    for angle_bin in range(ANGLE_BINS - 1):
+        beyond, within = -1.0, 1.0
+        while beyond < (middle := 0.5 * (beyond + within)) < within:
+            if int(math.acos(middle) / np.pi * ANGLE_BINS) > angle_bin:
+                beyond = middle
+            else:
+                within = middle
+        edges[angle_bin] = beyond
+    return edges
+
+
+_EDGES = _edges_of_bins()
+_FIRST_BINS = np.array([int((2.0 * (slot + 1) / _SLOTS - 1.0 <= _EDGES).sum()) for slot in range(_SLOTS + 1)])
+"""The bin of the greatest cosine in each slot."""
 
 
 @compiled
@@ -114,10 +137,16 @@ def _count_pairs(
     for i in range(occupied):
         for j in range(i + 1, occupied):
             cosine = means[i, 0] * means[j, 0] + means[i, 1] * means[j, 1] + means[i, 2] * means[j, 2]
-            angle = np.arccos(min(max(cosine, -1.0), 1.0))
-            angle_bin = min(int(angle / np.pi * ANGLE_BINS), ANGLE_BINS - 1)
+            angle_bin = bin_of_angle(min(max(cosine, -1.0), 1.0))
             gap = np.sqrt((means[i, 3] - means[j, 3]) ** 2 + (means[i, 4] - means[j, 4]) ** 2) / (2.0 * radius)
             height = abs(means[i, 5] - means[j, 5]) / radius
             pair = min(int(gap * distance_bins), distance_bins - 1) * height_bins
             pair += min(int(height * height_bins), height_bins - 1)
             histogram[pair * ANGLE_BINS + angle_bin] += 1.0
+
+
+@inlined
+def bin_of_angle(cosine: float) -> int:
+    """The bin of the angle with this `cosine`, in [-1, 1], without an arc cosine."""
+    first = _FIRST_BINS[int((cosine + 1.0) * (0.5 * _SLOTS))]
+    return int(first + (1 if cosine <= _EDGES[first] else 0))

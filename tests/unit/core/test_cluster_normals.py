@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
 
 from revisit.core.clusters import Clusters
-from revisit.core.config import Evaluation, MicroConfig
+from revisit.core.config import ANGLE_BINS, Evaluation, MicroConfig
+from revisit.core.kernels.column_histograms import bin_of_angle
 from revisit.core.micro.cluster_normals import angular_histogram, describe_clusters, regional_means, sphere_regions
 from revisit.core.micro.saliency import Saliency, weigh_clusters
 from revisit.core.surface import Surface
@@ -50,6 +53,15 @@ def test_three_known_normals_fall_into_three_known_bins() -> None:
     histogram = angular_histogram(means, pairs, np.zeros(3, np.int64), 1)
     assert np.flatnonzero(histogram).tolist() == [2, 15, 17]
     assert histogram.sum() == 3
+
+
+def test_the_bin_of_an_angle_is_found_from_its_cosine() -> None:
+    edges = np.cos(np.radians(np.arange(0.0, 181.0, 10.0)))
+    beside = np.concatenate([np.nextafter(edges, -2.0), edges, np.nextafter(edges, 2.0), [0.0, 0.5, -0.5]])
+    cosines = np.clip(np.concatenate([beside, np.random.default_rng(0).uniform(-1.0, 1.0, 5_000)]), -1.0, 1.0)
+    expected = [min(int(math.acos(one) / np.pi * ANGLE_BINS), ANGLE_BINS - 1) for one in cosines.tolist()]
+    assert [bin_of_angle(one) for one in cosines.tolist()] == expected
+    assert set(expected) == set(range(ANGLE_BINS))
 
 
 def test_a_region_has_the_mean_normal_of_its_points() -> None:
