@@ -6,6 +6,7 @@ import asyncio
 import gzip
 import http.client
 import json
+import math
 import multiprocessing
 import os
 import resource
@@ -145,13 +146,21 @@ def _gone(connection: Any, data: bytes) -> bool:
     return False
 
 
-def reopen(path: str, every: int, address: Address, key: str, stop: Any, counts: Counter[str]) -> None:
-    """Connections of one request each, as fast as they go; none is read, and `every` of them are closed together."""
+def reopen(
+    path: str, every: int, address: Address, key: str, stop: Any, counts: Counter[str], *, a_second: float = math.inf
+) -> None:
+    """Connections of one request each, as fast as they go or so many a second; none is read, and `every` of them are
+    closed together.
+    """
     host, _, number = address.url.removeprefix("http://").rpartition(":")
     head = f"GET {path} HTTP/1.1\r\nHost: localhost\r\n"
     request = (head + (f"Authorization: Bearer {key}\r\n\r\n" if every == 1 else "\r\n")).encode()
     held: list[socket.socket] = []
+    began_s = time.monotonic()
     while not stop.is_set():
+        if counts["opened"] > a_second * (time.monotonic() - began_s):
+            time.sleep(0.001)
+            continue
         with suppress(OSError):
             connection = socket.create_connection((host, int(number)), timeout=2.0)
             held.append(connection)
@@ -280,6 +289,7 @@ ATTACKS: dict[str, tuple[str, str, Attack]] = {
     ),
     "abandoned waits": ("P11", "rest", partial(reopen, f"/v1/{TOWN}/loopClosures?min_seq=1&min_seq_timeout_s=60", 1)),
     "reopened connections": ("P12", "rest", partial(reopen, "/v1/maps", 300)),
+    "5,000 connections a second": ("P12", "rest", partial(reopen, "/v1/maps", 300, a_second=5000)),
     "cancelled watches": ("P11", "grpc", partial(cancel, "loops")),
     "cancelled health": ("P12", "grpc", partial(cancel, "health")),
     "endless heads": ("P22", "rest", partial(hold, "http", 200, b"GET /livez HTTP/1.1\r\n" + b"X-A: b\r\n" * 1000)),
