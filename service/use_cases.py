@@ -38,6 +38,7 @@ from revisit.service.features.operations.dead_letters import DeadLetters
 from revisit.service.features.operations.worker_answers import WorkerAnswers
 from revisit.service.features.optimisation.calls import MapVersions
 from revisit.service.features.publishing.calls import MapFiles
+from revisit.service.features.radio.calls import Radio
 from revisit.service.features.relocalisation.calls import Conversations
 from revisit.service.features.resources.call_context import CallContext
 from revisit.service.features.resources.paging import Lists, PageTokens
@@ -58,6 +59,7 @@ class UseCases:
     robots: Robots
     sessions: Sessions
     anchors: Anchors
+    radio: Radio
     scans: Scans
     posting: SubmapPosting
     submaps: Submaps
@@ -88,10 +90,8 @@ class UseCases:
     def over(cls, of: ServiceContext, version: str, rules: AccessRules = AccessRules()) -> UseCases:
         """All use cases of an installation; `version` is the product's."""
         admission = Admission(of.stopping, of.disk, of.in_flight, of.backlog, of.quota)
-        lists, jobs = (
-            Lists(of.storage, of.in_flight, PageTokens(of.secret)),
-            JobPosting(of.backlog, of.clock, of.policy),
-        )
+        lists = Lists(of.storage, of.in_flight, PageTokens(of.secret))
+        jobs = JobPosting(of.backlog, of.clock, of.policy)
         context = CallContext(of.storage, lists, admission, jobs, of.clock, of.policy)
         operations, audit, work = Operations(context), AuditLog(of.storage, of.clock), ChargedWork(of.in_flight)
         tail, writes = EventTail(of.storage, admission), ReadYourWrites(of.storage, admission)
@@ -101,6 +101,7 @@ class UseCases:
             robots=Robots(context),
             sessions=Sessions(context, of.erasure),
             anchors=Anchors(context, work),
+            radio=Radio(context),
             scans=Scans(context, of.decoder, of.in_flight),
             posting=SubmapPosting(context, of.decoder),
             submaps=Submaps(context, work, SubmapMeshes(context, answers)),

@@ -3,6 +3,7 @@
 claim               a candidate pair: verdict of its pair, doubts, support
 revisits            which submaps of a drive may be loops
 prediction          accepted pairs predict the pose of further candidates
+radio               RADIO_DISAGREES
 alternatives        PERCEPTUAL_ALIAS, BETTER_ALTERNATIVE
 consistent_share    LOW_CONSISTENT_SHARE
 consistency         PAIRWISE_INCONSISTENT, ODOMETRY_INCONSISTENT

@@ -15,6 +15,7 @@ import numpy as np
 
 from revisit.core.geometry.se3 import Matrix4
 from revisit.core.pair_verdict import Hypothesis, LoopMeasurement, PairVerdict, RejectionReason, VerifiedLoop
+from revisit.core.radio import RadioFingerprint
 
 
 class Doubt(StrEnum):
@@ -25,6 +26,7 @@ class Doubt(StrEnum):
     PERCEPTUAL_ALIAS = "PERCEPTUAL_ALIAS"  # nearly every other place of the drive looks like it
     BETTER_ALTERNATIVE = "BETTER_ALTERNATIVE"  # another place explains more of the submap
     LOW_CONSISTENT_SHARE = "LOW_CONSISTENT_SHARE"  # most pairs that its pose explains did not pass
+    RADIO_DISAGREES = "RADIO_DISAGREES"  # it hears other radio than another spot where the submap passes, too
     SUPPORT_LOST = "SUPPORT_LOST"  # the claims that had decided it are doubted themselves
     AWAITS_CHAIN = "AWAITS_CHAIN"  # places may repeat, and its drive has not gone on for long enough to tell
 
@@ -76,12 +78,14 @@ class Distinctiveness:
 class Station:
     """A submap on its drive: T_odom_submap (4, 4), metres, and its number on the drive.
 
-    drive: any number that tells drives apart; None for a cloud of no drive, which has no odometry.
+    drive: any number that tells drives apart; None for a cloud of no drive, which has no odometry. radio: of the place,
+    None where nobody told it.
     """
 
     drive: int | None
     ordinal: int
     T_odom_submap: Matrix4
+    radio: RadioFingerprint | None = None
 
 
 @dataclass(frozen=True)

@@ -14,6 +14,7 @@ from revisit.core.acceptance.claim import LoopClaim, Station, StationInMap
 from revisit.core.acceptance.consistency import inconsistent
 from revisit.core.acceptance.consistent_share import REACH_M, low_consistent_share
 from revisit.core.acceptance.distinctiveness import with_distinctiveness
+from revisit.core.acceptance.radio import radio_refuted
 from revisit.core.acceptance.support import VerifyNear, with_support, without_lost_support
 from revisit.core.config import PipelineConfig
 
@@ -61,9 +62,7 @@ def accept(new: Sequence[LoopClaim], drive: Drive, config: PipelineConfig, verif
     if not any(claim.hypotheses for claim in new):
         return Decided(list(new), {})
     known, rules = without_waiting(drive.claims), config.verification
-    claims = _with(new, not_standing_out(new, config))
-    claims = _with(claims, outdone_contacts(claims, known, config))
-    claims = [*known, *claims]
+    claims = [*known, *_beside_others(new, known, config)]
     claims = _with(claims, low_consistent_share(claims, drive.stride_m))
     claims = _with(claims, inconsistent(claims, rules, drive.stride_m))
     claims = _with(claims, without_lost_support(claims, rules, drive.stride_m))
@@ -72,6 +71,16 @@ def accept(new: Sequence[LoopClaim], drive: Drive, config: PipelineConfig, verif
     before = len(drive.claims)
     revised = {row: claims[row] for row, one in enumerate(drive.claims) if claims[row] is not one}
     return Decided(with_distinctiveness(claims[before:], config.submap.stride), revised)
+
+
+def _beside_others(new: Sequence[LoopClaim], known: Sequence[LoopClaim], config: PipelineConfig) -> list[LoopClaim]:
+    """The claims of one query held against each other; those that radio refutes are no alternatives to others."""
+    refuted = radio_refuted(new, known)
+    rows = [row for row in range(len(new)) if row not in refuted]
+    told = [new[row] for row in rows]
+    told = _with(told, not_standing_out(told, config))
+    told = _with(told, outdone_contacts(told, known, config))
+    return _with(new, {**refuted, **dict(zip(rows, told, strict=True))})
 
 
 def accept_cloud(

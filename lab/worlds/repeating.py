@@ -137,17 +137,18 @@ def two_drives(world: World, count: int, seed: int, codebooks: Codebooks, config
     """
     rng, drives = np.random.default_rng([seed, 5]), []
     for drive, (start_m, turn) in enumerate(((0.0, 0.0), (rng.uniform(-5.0, 5.0), rng.choice([0.0, np.pi])))):
-        poses = [_on_the_way(start_m + number * config.submap.stride, turn, rng) for number in range(count)]
+        poses = [on_the_way(start_m + number * config.submap.stride, turn, rng) for number in range(count)]
         poses = poses[::-1] if turn else poses
-        drives.append([_described(world, pose, (seed, drive, n), codebooks, config) for n, pose in enumerate(poses)])
+        drives.append([described(world, pose, (seed, drive, n), codebooks, config) for n, pose in enumerate(poses)])
     return AskedPlaces(drives[1], drives[0], one_drive=False)
 
 
-def _on_the_way(x_m: float, turn: float, rng: np.random.Generator) -> se3.Matrix4:
+def on_the_way(x_m: float, turn: float, rng: np.random.Generator) -> se3.Matrix4:
+    """A pose (4, 4) of a drive along x, towards `turn`."""
     return se3.from_yaw(turn + rng.normal(0.0, 0.03), (x_m, rng.uniform(-0.6, 0.6), _SENSOR_HEIGHT_M))
 
 
-def _described(
+def described(
     world: World, pose: se3.Matrix4, of: tuple[int, int, int], codebooks: Codebooks, config: PipelineConfig
 ) -> DescribedSubmap:
     """The submap in a row of a drive, `of`: seed, drive, row. It has no descriptor: all places here look alike."""

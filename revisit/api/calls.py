@@ -28,6 +28,7 @@ from revisit.v1 import (
     map_tile_pb2,
     mapping_pb2,
     operation_pb2,
+    radio_pb2,
     retention_pb2,
     robot_pb2,
     session_pb2,
@@ -178,6 +179,11 @@ _TABLE = (
         Row("PreviewAnchors", INGEST, "POST /v1/{parent=maps/*/sessions/*}/anchors:preview", json_bytes=256 * 2**10),
         Row("ListAnchors", READ, "GET /v1/{parent=maps/*/sessions/*}/anchors"),
         Row("DeleteAnchor", ADMIN, "DELETE /v1/{name=maps/*/sessions/*/anchors/*}"),
+    ),
+    *_calls(
+        radio_pb2,
+        "radio",
+        Row("PostRadio", INGEST, "POST /v1/{parent=maps/*/sessions/*}/radio", json_bytes=256 * 2**10),
     ),
     *_calls(ingest_pb2, "scans", Row("StreamScans", INGEST, cost=Cost.SCANS)),
     *_calls(

@@ -10,6 +10,7 @@ from revisit.sdk.clouds import PointsLike
 from revisit.sdk.earth import OnEarth
 from revisit.sdk.explanations import NearMiss
 from revisit.sdk.explanations import explain
+from revisit.sdk.radio import RadioReading
 from revisit.sdk.resources import Anchor
 from revisit.sdk.resources import Correction
 from revisit.sdk.resources import Event
@@ -148,6 +149,8 @@ class Sessions:
     async def anchors(self, session: str | Session) -> builtins.list[Anchor]:
         ...
     async def delete_anchor(self, anchor: str | Anchor) -> None:
+        ...
+    async def post_radio(self, session: str | Session, readings: Iterable[RadioReading], *, key: bytes | str | None=None) -> int:
         ...
     async def correction(self, session: str | Session) -> Correction:
         ...

@@ -17,6 +17,7 @@ from revisit.service.calls import (
     operations,
     plain,
     push,
+    radio,
     retention,
     search,
 )
@@ -25,7 +26,7 @@ from revisit.service.use_cases import UseCases
 from revisit.service.wire.fields import Fields
 from revisit.service.wire.rendering import Answer
 
-ROOMS = (anchors, catalogue, ingest, search, loops, mapping, map_parts, operations, push, retention)
+ROOMS = (anchors, catalogue, ingest, search, loops, mapping, map_parts, operations, push, radio, retention)
 
 
 def answers(call: Call, cases: UseCases) -> Callable[[TenantId, Any], Awaitable[Answer]]:

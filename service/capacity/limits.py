@@ -33,6 +33,12 @@ ANCHOR_POINTS = 15_000
 STORED_ANCHOR_POINTS = 60
 """That the row of an anchor takes of the room of its tenant."""
 
+READING_POINTS = 15_000
+"""Of a new reading of radio, as of an anchor."""
+
+STORED_READING_POINTS = 60
+"""That the row of a reading takes of the room of its tenant."""
+
 ROW_POINTS = 3_000
 """Of a row of a list: five times 60 us."""
 

@@ -1,9 +1,9 @@
 """How much a tenant may store, by the points of its clouds, and by its anchors.
 
 Counted from rows: 12 bytes a point, as a cloud has them before it is compressed, so that a client can reckon with it;
-an anchor counts as so many points. Derived data (meshes, descriptors) is not counted. A gateway keeps a sum in memory.
-It makes the sum anew, at most once a second a tenant, once it has stored its part of the room that there was: the other
-gateways may have filled theirs.
+an anchor and a reading of radio count as so many points. Derived data (meshes, descriptors) is not counted. A gateway
+keeps a sum in memory. It makes the sum anew, at most once a second a tenant, once it has stored its part of the room
+that there was: the other gateways may have filled theirs.
 """
 
 from __future__ import annotations
@@ -13,7 +13,13 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from revisit.service.capacity.budget import GatewayShare
-from revisit.service.capacity.limits import POINT_BYTES, QUOTA_RECOUNT_S, QUOTA_RETRY_S, STORED_ANCHOR_POINTS
+from revisit.service.capacity.limits import (
+    POINT_BYTES,
+    QUOTA_RECOUNT_S,
+    QUOTA_RETRY_S,
+    STORED_ANCHOR_POINTS,
+    STORED_READING_POINTS,
+)
 from revisit.service.domain.errors import QuotaReached
 from revisit.service.domain.identity import TenantId
 from revisit.service.ports.storage import Storage
@@ -75,5 +81,6 @@ class StorageQuota:
 
 
 def _points(uow: UnitOfWork, tenant: TenantId) -> int:
+    clouds = uow.scans.points_of(tenant) + uow.submaps.points_of(tenant)
     anchors = STORED_ANCHOR_POINTS * uow.anchors.count(tenant)
-    return uow.scans.points_of(tenant) + uow.submaps.points_of(tenant) + anchors
+    return clouds + anchors + STORED_READING_POINTS * uow.radio_readings.count(tenant)

@@ -127,6 +127,11 @@ PLACE_VARIANCE_M2 = Range(1e-6, 1e8, "m^2")
 HEADING_RAD = Range(-10.0, 10.0, "radians")
 HEADING_SIGMA_RAD = Range(1e-4, 1.0, "radians")
 
+# Radio
+READINGS = Range(1, 100)
+"""Of one call."""
+READINGS_OF_SESSION = 20_000
+
 # Lists and waiting
 PAGE_SIZE = Range(1, 500)
 PAGE_TOKEN_CHARACTERS = 200

@@ -158,6 +158,7 @@ class SubmapRecord:
     `seq` is its number within its map, given with its commit. `entered` is the change by which it entered the index of
     its map, 0 before that, and `map_version` the version in force then. `searched`: its loops with those that entered
     before it are there.
+    `radio`: its fingerprint (`core.radio`), None where nobody told any.
     `kept_scans` says which of its clouds are still kept (a `KeptScans`); `described_at_ns` is None in rows of before
     there was the column.
     """
@@ -194,6 +195,7 @@ class SubmapRecord:
     seq: int = 0
     described_at_ns: int | None = None
     kept_scans: str = KeptScans.ALL.value
+    radio: bytes | None = None
     number: int = 0
 
     @property
@@ -362,6 +364,22 @@ class AnchorRecord:
     def name(self) -> str:
         """The resource name."""
         return f"{SessionKey(self.map_id, self.session_id).name}/anchors/{self.anchor_id}"
+
+
+@dataclass(frozen=True)
+class RadioReadingRecord:
+    """The access points that a robot heard at `stamp_ns`, as bytes of a `core.radio.RadioFingerprint`.
+
+    `time_slice`: which ten seconds that was in (see `features.radio.rows`).
+    """
+
+    tenant: TenantId
+    map_id: str
+    session_id: str
+    stamp_ns: int
+    time_slice: int
+    heard: bytes
+    number: int = 0
 
 
 @dataclass(frozen=True)

@@ -17,6 +17,7 @@ from revisit.service.domain.records import (
     MapRecord,
     MapTileRecord,
     MapVersionRecord,
+    RadioReadingRecord,
     RobotRecord,
     SessionPosesRecord,
     SessionRecord,
@@ -93,6 +94,11 @@ class UnitOfWork(Protocol):
     @property
     def anchors(self) -> Repository[AnchorRecord]:
         """Anchors of sessions by (map_id, session_id, anchor_id)."""
+        ...
+
+    @property
+    def radio_readings(self) -> Repository[RadioReadingRecord]:
+        """Readings of radio by (map_id, session_id, stamp_ns)."""
         ...
 
     @property

@@ -99,5 +99,5 @@ DEFAULTS: dict[str, Any] = {
 
 REQUIRED = frozenset({
     "map_id", "robot_id", "session_id", "webhook_id", "url", "version", "source", "query", "match", "points_m",
-    "centre_m", "within_m", "anchors", "anchor_id",
+    "centre_m", "within_m", "anchors", "anchor_id", "readings", "access_points", "strengths_dbm",
 })  # fmt: skip

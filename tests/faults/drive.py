@@ -33,6 +33,7 @@ from revisit.service.features.catalogue.sessions import CreateSession
 from revisit.service.features.graph.map_jobs import post_map_job
 from revisit.service.features.index.keeping import IndexHealth
 from revisit.service.features.merging.calls import MergeMap
+from revisit.service.features.radio.calls import RadioReading
 from revisit.service.features.resources.paging import PageRequest
 from revisit.service.features.upkeep.sweeping import UNREFERENCED_S, collect
 from revisit.service.ports.map_tiles import Moment
@@ -84,6 +85,7 @@ async def drive(world: World, history: History) -> None:
     for session in (POSTED, STREAMED, SCRAPPED):
         await open_session(world, session)
     await world.use_cases.sessions.create(TENANT, CreateSession(STATED.map_id, STATED.session_id, drift="WHEEL"))
+    await _hear(world, history)
     for submap_id, place in PLACES.items():
         await _post(world, history, submap_id, place, 300)
     await _post(world, history, DEGENERATE, 4, CANNOT_BE_DESCRIBED)
@@ -198,6 +200,15 @@ async def _anchor(world: World, history: History, anchor_id: str) -> None:
     anchor = NewAnchor(anchor_id, kind, frame, stamp_ns, position, covariance, T_odom_sensor=T_odom_sensor)
     operation = history.invoke("surveyor", Kind.PUT, f"anchor/{anchor_id}", str(position))
     await world.use_cases.anchors.post(TENANT, session, [anchor])
+    history.settle(operation, Outcome.OK)
+
+
+async def _hear(world: World, history: History) -> None:
+    """Post what a robot hears while submaps are posted."""
+    reading = RadioReading(1_001, tuple(f"{name:016x}" for name in range(5)), (-50, -51, -52, -53, -54))
+    heard = reading.record(TENANT, POSTED).heard.hex()
+    operation = history.invoke("robot", Kind.PUT, f"radio/{reading.stamp_ns}", heard)
+    await world.use_cases.radio.post(TENANT, POSTED, [reading])
     history.settle(operation, Outcome.OK)
 
 

@@ -88,6 +88,9 @@ def _survey(uow: UnitOfWork, blobs: BlobStore, tenant: TenantId) -> Survey:
     for anchor in uow.anchors.find(tenant):
         if (anchor.map_id, anchor.session_id) not in copied:
             found.rows.append(Stored(f"anchor/{anchor.anchor_id}", str(anchor.position)))
+    for reading in uow.radio_readings.find(tenant):
+        if (reading.map_id, reading.session_id) not in copied:
+            found.rows.append(Stored(f"radio/{reading.stamp_ns}", reading.heard.hex()))
     for session in uow.sessions.find(tenant):
         found.committed[session.session_id] = session.committed_seq
         found.problems.extend(_session_problems(session, submaps, scans))

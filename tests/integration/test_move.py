@@ -98,7 +98,15 @@ def test_what_a_whole_drive_has_left_is_the_same_in_postgresql_and_back_again(tm
     there = digest(target)
     assert there == digest(source)
     filled = {name for name, rows in there[0].items() if rows}
-    assert {"anchors", "loop_events", "map_files", "map_merges", "map_tiles", "map_versions"} <= filled
+    assert {
+        "anchors",
+        "loop_events",
+        "map_files",
+        "map_merges",
+        "map_tiles",
+        "map_versions",
+        "radio_readings",
+    } <= filled
     back = moved_back(target, tmp_path / "back")
     assert digest(back) == there
     for engine in (source, target, back):

@@ -11,6 +11,7 @@ from revisit.sdk.anchors import ANCHORS_AT_ONCE, NewAnchor
 from revisit.sdk.groups.group import Group
 from revisit.sdk.input_watch import warn_of_session
 from revisit.sdk.names import name_of
+from revisit.sdk.radio import READINGS_AT_ONCE, RadioReading
 from revisit.sdk.resources import Anchor, Correction, Map, Operation, Robot, Session
 
 
@@ -88,6 +89,23 @@ class Sessions(Group):
     def delete_anchor(self, anchor: str | Anchor) -> None:
         """Delete an anchor; the map is optimised without it."""
         self._ask("DeleteAnchor", name=name_of(anchor, names.ANCHOR))
+
+    def post_radio(
+        self, session: str | Session, readings: Iterable[RadioReading], *, key: bytes | str | None = None
+    ) -> int:
+        """Post what the Wi-Fi of a robot heard, before the scans around it; how many readings the service had not yet.
+
+        They tell twins of one plan apart. Addresses leave this program hashed with `key`, which all robots of a map
+        must share; by default it is the name of the map, which hides them from a glance alone.
+        """
+        parent = name_of(session, names.SESSION)
+        secret = parent.partition("/sessions/")[0] if key is None else key
+        secret = secret.encode() if isinstance(secret, str) else secret
+        made, stored = [one.message(secret) for one in readings], 0
+        for start in range(0, len(made), READINGS_AT_ONCE):
+            some: Any = made[start : start + READINGS_AT_ONCE]
+            stored += self._ask("PostRadio", parent=parent, readings=some).stored
+        return stored
 
     def correction(self, session: str | Session) -> Correction:
         """Where the odometry frame of a session lies in the map.

@@ -21,6 +21,7 @@ SESSIONS_OF: dict[Table, tuple[str, ...]] = {
     tables.map_versions: (),
     tables.session_poses: ("session_id",),
     tables.anchors: ("session_id",),
+    tables.radio_readings: ("session_id",),
     tables.early_corrections: ("session_id",),
     tables.map_merges: (),
     tables.map_tiles: (),

@@ -209,6 +209,7 @@ submaps = _numbered(
     Column("seq", BigInteger, nullable=False, server_default="0"),
     _integer("described_at_ns", nullable=True),
     Column("kept_scans", String(16), nullable=False, server_default="ALL"),
+    Column("radio", LargeBinary, nullable=True),
     # No field of the record: the engine keeps it, if it keeps any (see `checksums`).
     _integer("checksum", nullable=True),
     ForeignKeyConstraint(
@@ -337,6 +338,20 @@ anchors = _numbered(
     ForeignKeyConstraint(
         ["tenant", "map_id", "session_id"], ["sessions.tenant", "sessions.map_id", "sessions.session_id"]
     ),
+)
+
+radio_readings = _numbered(
+    "radio_readings",
+    ("map_id", "session_id", "stamp_ns"),
+    _text("map_id"),
+    _text("session_id"),
+    _integer("stamp_ns"),
+    _integer("time_slice"),
+    Column("heard", LargeBinary, nullable=False),
+    ForeignKeyConstraint(
+        ["tenant", "map_id", "session_id"], ["sessions.tenant", "sessions.map_id", "sessions.session_id"]
+    ),
+    Index(None, "tenant", "map_id", "session_id", "time_slice"),
 )
 
 early_corrections = _numbered(

@@ -28,6 +28,7 @@ from revisit.service.domain.records import (
     MapRecord,
     MapTileRecord,
     MapVersionRecord,
+    RadioReadingRecord,
     RobotRecord,
     ScanRecord,
     SessionPosesRecord,
@@ -121,6 +122,8 @@ class SqlUnitOfWork:
     """The poses of sessions in versions of maps by (map_id, version, session_id)."""
     anchors = stored(tables.anchors, AnchorRecord)
     """Anchors of sessions by (map_id, session_id, anchor_id)."""
+    radio_readings = stored(tables.radio_readings, RadioReadingRecord)
+    """Readings of radio by (map_id, session_id, stamp_ns)."""
     early_corrections = stored(tables.early_corrections, EarlyCorrectionRecord)
     """Corrections ahead of the next version by (map_id, session_id)."""
     deletions = stored(tables.deletions, DeletionRecord)

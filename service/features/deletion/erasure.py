@@ -154,6 +154,10 @@ def _anchors(uow: UnitOfWork, deletion: DeletionRecord, _: int) -> bool:
     return bool(_without(uow.anchors, deletion, ROWS))
 
 
+def _radio(uow: UnitOfWork, deletion: DeletionRecord, _: int) -> bool:
+    return bool(_without(uow.radio_readings, deletion, ROWS))
+
+
 def _poses(uow: UnitOfWork, deletion: DeletionRecord, _: int) -> bool:
     gone = _without(uow.session_poses, deletion, VERSIONS)
     if deletion.session_id:
@@ -198,7 +202,7 @@ def _mark(uow: UnitOfWork, deletion: DeletionRecord, _: int) -> bool:
     return False
 
 
-_STEPS: tuple[Step, ...] = (_submaps, _scans, _anchors, _poses, _tiles, _files, _versions, _sessions, _mark)
+_STEPS: tuple[Step, ...] = (_submaps, _scans, _anchors, _radio, _poses, _tiles, _files, _versions, _sessions, _mark)
 """In an order that leaves no row without its parent."""
 
 

@@ -39,6 +39,7 @@ from revisit.core.pair_verdict import (
     VerifiedLoop,
 )
 from revisit.core.pose_graph.graph import GraphState
+from revisit.core.radio import RadioFingerprint
 from revisit.service.domain.records import LoopRecord, SubmapRecord
 from revisit.service.domain.states import LoopState
 from revisit.service.ports.transactions import UnitOfWork
@@ -82,7 +83,8 @@ class StoredDrive:
 
 def station(submap: SubmapRecord) -> Station:
     """A submap on its drive."""
-    return Station(submap.session_number, submap.ordinal, pose_matrix(submap.T_odom_submap))
+    radio = None if submap.radio is None else RadioFingerprint.of_bytes(submap.radio)
+    return Station(submap.session_number, submap.ordinal, pose_matrix(submap.T_odom_submap), radio)
 
 
 def drive_before(uow: UnitOfWork, submap: SubmapRecord, config: PipelineConfig) -> StoredDrive:

@@ -33,6 +33,7 @@ from revisit.service.features.index.own_drive import candidates_of
 from revisit.service.features.index.place_memory import PlaceMemory, RecalledPlace
 from revisit.service.features.ingest.rows import each_scan, load_submap, submap_source
 from revisit.service.features.loops.claims import station
+from revisit.service.features.radio.rows import fingerprint_of
 from revisit.service.features.recognition.rows import (
     DescriptionTask,
     Entry,
@@ -137,6 +138,7 @@ class SubmapDescriptionJob:
             neural_map_sha256=sha256.get(NEURAL_MAP_BLOB),
             neural_map_bytes=None if description.neural_map is None else len(description.neural_map),
             described_at_ns=self._context.clock.wall_ns(),
+            radio=task.radio,
         )
         return StoredDescription(row, description, tuple(sha256.items()), put)
 
@@ -208,7 +210,8 @@ def _task(uow: UnitOfWork, policy: Policy, job: JobRecord) -> DescriptionTask | 
     submap = _submap_of(uow, job)
     if submap is None:
         return None
-    return DescriptionTask(submap, submap_source(uow, policy, submap), require_map(uow, job.tenant, submap.map_id))
+    of_map, radio = require_map(uow, job.tenant, submap.map_id), fingerprint_of(uow, submap)
+    return DescriptionTask(submap, submap_source(uow, policy, submap), of_map, radio)
 
 
 def _entered(uow: UnitOfWork, _: Policy, job: JobRecord, described: SubmapDescription | None) -> Query | None:

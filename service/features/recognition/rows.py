@@ -37,11 +37,12 @@ from revisit.service.ports.transactions import UnitOfWork
 
 @dataclass(frozen=True)
 class DescriptionTask:
-    """A submap to describe, as the database holds it."""
+    """A submap to describe, as the database holds it; `radio` is its fingerprint, None where nobody told any."""
 
     submap: SubmapRecord
     source: SubmapSource
     map: MapRecord
+    radio: bytes | None = None
 
 
 @dataclass(frozen=True)

@@ -15,6 +15,7 @@ from revisit import Client
 from revisit.api.calls import CALLS
 from revisit.formats import QUANTISED, encode_quantised
 from revisit.sdk.anchors import NewAnchor
+from revisit.sdk.radio import RadioReading
 from revisit.sdk.retry import RetryPolicy
 from revisit.service.rest.app import create_app
 from tests.support.credentials import a_key, bearer
@@ -101,10 +102,12 @@ ANCHOR = {
     "T_odom_sensor": POSE,
     "covariance_enu": np.eye(3).ravel().tolist(),
 }
+HEARD = RadioReading(7, {"aa:01": -50.0}).message(b"key")
 BODIES = {
     "/sessions": {"session_id": "new"},
     "/anchors": {"anchors": [ANCHOR]},
     "/anchors:preview": {"anchors": [ANCHOR]},
+    "/radio": {"readings": [HEARD]},
     **dict.fromkeys(("}:accept", "}:reject", "loop_id}:revert"), NOTE),
     ":distances": {"points_m": [0.0, 0.0, 0.0]},
     ":publish": {},
@@ -162,6 +165,7 @@ NAMES = {
     "Submap": {"name": SUBMAP, "parent": SESSION, "submap_id": "new"},
     "LoopClosure": {"name": LOOP, "parent": MAP},
     "Anchor": {"name": SESSION + "/anchors/{anchor}", "parent": SESSION},
+    "Radio": {"parent": SESSION},
     "Operation": {"name": "operations/{operation}"},
     "Mapping": {"name": MAP, "parent": MAP},
     "Event": {"parent": MAP},
@@ -185,6 +189,7 @@ OWN = {
     "CreateLoopClosure": {"query": SESSION + "/submaps/b", "match": SESSION + "/submaps/a"},
     "PostAnchors": {"anchors": [replace(DOOR, anchor_id="new").message()]},
     "PreviewAnchors": {"anchors": [replace(DOOR, anchor_id="new").message()]},
+    "PostRadio": {"readings": [HEARD]},
     "MergeMap": {"source": "maps/annex"},
     "RevertMap": {"version": 1},
     "StreamScans": {"open": {"session": SESSION}},

@@ -18,6 +18,7 @@ from revisit.service.domain.records import (
     MapMergeRecord,
     MapTileRecord,
     MapVersionRecord,
+    RadioReadingRecord,
     RobotRecord,
     SessionPosesRecord,
     SessionRecord,
@@ -53,7 +54,7 @@ T = TypeVar("T")
 _TABLES = (
     *("maps", "robots", "sessions", "scans", "submaps", "loops"),
     *("loop_events", "map_versions", "session_poses", "early_corrections", "map_merges", "map_tiles", "map_files"),
-    *("anchors", "deletions"),
+    *("anchors", "radio_readings", "deletions"),
     "unreferenced_blobs",
     *("jobs", "turns", "changes", "events", "webhooks", "webhook_deliveries", "workers", "keys", "audit"),
     "processes",
@@ -85,6 +86,7 @@ class MemoryUnitOfWork:
         self.map_versions: MemoryRepository[MapVersionRecord] = of_map("map_versions", "version", listener=listener)
         self.session_poses: MemoryRepository[SessionPosesRecord] = of_map("session_poses", "version", "session_id")
         self.anchors: MemoryRepository[AnchorRecord] = of_map("anchors", "session_id", "anchor_id")
+        self.radio_readings: MemoryRepository[RadioReadingRecord] = of_map("radio_readings", "session_id", "stamp_ns")
         self.early_corrections: MemoryRepository[EarlyCorrectionRecord] = of_map("early_corrections", "session_id")
         self.map_merges: MemoryRepository[MapMergeRecord] = of_map("map_merges", "merge_id")
         self.map_tiles: MemoryRepository[MapTileRecord] = of_map("map_tiles", "version", "tile_id")

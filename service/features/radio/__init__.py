@@ -1,0 +1,1 @@
+"""Readings of radio: post them, and the fingerprints of submaps that are made of them."""
