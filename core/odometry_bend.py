@@ -60,7 +60,7 @@ class OdometryBend:
         ends = np.searchsorted(submap.scan_index, np.arange(submap.scan_count + 1))
         for scan, motion in enumerate(motions):
             T, rows = se3.exp(motion), slice(ends[scan], ends[scan + 1])
-            points[rows] = moved_points(T, points[rows])
+            moved_points(T, points[rows], in_place=True)
             origins[scan] = se3.apply(T, origins[scan : scan + 1])[0]
         return replace(submap, points=points, origins=origins)
 

@@ -12,13 +12,12 @@ from numpy.typing import NDArray
 from revisit.core.codec.neural_chances import Mixtures, learned_mixtures
 from revisit.core.errors import DataLoss
 from revisit.core.geometry import octahedral
-from revisit.core.geometry.voxel_keys import first_rows, voxel_keys
 from revisit.core.kernels.feature_coder import code_features, feature_models
 from revisit.core.kernels.guided_planes import code_guided_planes
 from revisit.core.kernels.mixed_octree import code_mixed_octree
 from revisit.core.kernels.plane_guesses import FIXED
 from revisit.core.kernels.range_coder import Coder, finish, fresh_models, start
-from revisit.core.kernels.voxel_table import rows_of, table_of
+from revisit.core.kernels.voxel_table import distinct_rows, rows_of, table_of
 
 Codes = NDArray[np.int32]
 
@@ -79,11 +78,6 @@ class Form:
         ):
             raise DataLoss("the form of the neural map is unreadable")
         return self
-
-
-def distinct_rows(voxels: NDArray[np.int32]) -> NDArray[np.int64]:
-    """The first row of each of `voxels` (n, 3), ascending."""
-    return np.sort(first_rows(voxel_keys(voxels)))
 
 
 def write_points(

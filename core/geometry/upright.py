@@ -131,7 +131,7 @@ def surface_normals(points: NDArray[np.floating]) -> Array:
     """Unit normals (m, 3), of either sign, of the voxels in which the points (n, 3) lie on a plane."""
     if len(points) == 0:
         return np.empty((0, 3))
-    median = float(np.median(np.linalg.norm(points, axis=1)))
+    median = float(np.median(_ranges(points)))
     voxels = np.floor(points / max(VOXEL_OF_RANGE * median, 1e-6)).astype(np.int64)
     voxel, counts = grouped(voxel_keys(voxels))
     axes = np.ascontiguousarray(points.T)
@@ -146,8 +146,14 @@ def surface_normals(points: NDArray[np.floating]) -> Array:
     return np.asarray(vectors[flat, :, 0])
 
 
+def _ranges(points: NDArray[np.floating]) -> NDArray[np.floating]:
+    """The lengths (n,) of `points` (n, 3); NumPy's own norm goes row by row."""
+    x, y, z = points.T
+    return np.asarray(np.sqrt(x * x + y * y + z * z))
+
+
 def _near(points: NDArray[np.floating]) -> Array:
-    ranges = np.linalg.norm(points, axis=1)
+    ranges = _ranges(points)
     if len(points) == 0:
         return np.empty((0, 3))
     near = points[(ranges > 0.0) & (ranges < 3.0 * np.median(ranges))].astype(np.float64)

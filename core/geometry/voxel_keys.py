@@ -33,38 +33,41 @@ def voxel_keys(voxels: NDArray[np.integer]) -> NDArray[np.int64]:
 
 
 def first_rows(keys: NDArray[np.int64]) -> NDArray[np.int64]:
-    """The first row of each distinct key (n,) >= 0, in the order of the keys: `np.unique(keys, return_index=True)[1]`.
-
-    Where key and row fit into one number, that is sorted instead of the rows: three times as fast.
-    """
-    bits = _bits_of_rows(keys)
-    if bits is None:
-        return np.asarray(np.unique(keys, return_index=True)[1])
-    packed = np.sort((keys << bits) | np.arange(len(keys)))
-    distinct = np.diff(packed >> bits, prepend=-1) != 0
-    return np.asarray(packed[distinct] & ((1 << bits) - 1))
+    """The first row of each distinct key (n,) >= 0, in their order: `np.unique(keys, return_index=True)[1]`."""
+    rows = _in_order(keys)
+    return rows[_begins(keys, rows)]
 
 
 def grouped(keys: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """The number (n,) of each key (n,) >= 0 among the distinct ones, in their order, and how often each occurs (m,).
 
-    As `np.unique` gives them; faster in the same way as `first_rows`.
+    As `np.unique` gives them.
     """
-    bits = _bits_of_rows(keys)
-    if bits is None:
-        _, inverse, counts = np.unique(keys, return_inverse=True, return_counts=True)
-        return np.asarray(inverse), np.asarray(counts)
-    packed = np.sort((keys << bits) | np.arange(len(keys)))
-    distinct = np.diff(packed >> bits, prepend=-1) != 0
-    inverse = np.empty(len(keys), np.int64)
-    inverse[packed & ((1 << bits) - 1)] = np.cumsum(distinct) - 1
-    return inverse, np.diff(np.append(np.flatnonzero(distinct), len(keys)))
+    rows, numbers = _in_order(keys), np.empty(len(keys), np.int64)
+    begins = _begins(keys, rows)
+    numbers[rows] = np.cumsum(begins) - 1
+    return numbers, np.diff(np.append(np.flatnonzero(begins), len(keys)))
 
 
-def _bits_of_rows(keys: NDArray[np.int64]) -> int | None:
-    """How many bits a row takes behind its key, None where key and row do not fit into one number."""
-    bits = max(len(keys) - 1, 1).bit_length()
-    return None if int(keys.max(initial=0)) >> (63 - bits) else bits
+def _begins(keys: NDArray[np.int64], rows: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Whether each of the keys in the order of `rows` (n,) is another one than that before it."""
+    return np.asarray(np.diff(keys.take(rows), prepend=-1) != 0)
+
+
+def _in_order(keys: NDArray[np.int64]) -> NDArray[np.int64]:
+    """The rows (n,) in the order of the keys (n,) >= 0, those of one key ascending: `np.argsort(keys, kind="stable")`.
+
+    By two bytes at a time, the lowest first: these NumPy sorts by counting, in a third of the time for two or three.
+    """
+    rows, greatest, shift = np.argsort(_digit(keys, 0), kind="stable"), int(keys.max(initial=0)), 16
+    while greatest >> shift:
+        rows = rows.take(np.argsort(_digit(keys, shift).take(rows), kind="stable"))
+        shift += 16
+    return rows
+
+
+def _digit(keys: NDArray[np.int64], shift: int) -> NDArray[np.uint16]:
+    return (keys >> shift).astype(np.uint16)
 
 
 def _ranks(values: NDArray[np.int64]) -> tuple[NDArray[np.int64], int]:

@@ -10,11 +10,12 @@ import dataclasses
 import numpy as np
 from numpy.typing import NDArray
 
-from revisit.core.codec.neural_points import PlaneCodes, distinct_rows
+from revisit.core.codec.neural_points import PlaneCodes
 from revisit.core.geometry import octahedral
 from revisit.core.implicit_map.neural_points import NeuralPoints
 from revisit.core.kernels.plane_guesses import FIXED, HIT_CLASSES
 from revisit.core.kernels.settled_planes import spots_on_planes
+from revisit.core.kernels.voxel_table import distinct_rows
 
 Array = NDArray[np.float32]
 

@@ -45,6 +45,29 @@ def table_of(voxels: NDArray[np.int32]) -> VoxelTable:
     return table
 
 
+def distinct_rows(voxels: NDArray[np.int32]) -> NDArray[np.int64]:
+    """The first row of each of `voxels` (n, 3), ascending."""
+    entered, rows = np.empty((len(voxels), 3), np.int32), np.empty(len(voxels), np.int64)
+    following = np.empty(len(voxels), np.int32)
+    return rows[: _enter_distinct(voxels, empty_slots(len(voxels)), following, entered, rows)]
+
+
+@loop
+def _enter_distinct(
+    voxels: NDArray[np.int32], slots: NDArray[np.int32], following: NDArray[np.int32], entered: NDArray[np.int32],
+    rows: NDArray[np.int64],
+) -> int:  # fmt: skip
+    """Fill `rows`; returns how many. The others are for its use, `slots` empty."""
+    count = 0
+    for n in range(len(voxels)):
+        x, y, z = voxels[n, 0], voxels[n, 1], voxels[n, 2]
+        if find_in(slots, following, entered, x, y, z) < 0:
+            add_to(slots, following, entered, count, x, y, z)
+            rows[count] = n
+            count += 1
+    return count
+
+
 @inlined
 def slot_of(slots: NDArray[np.int32], x: int, y: int, z: int) -> int:
     """The slot of voxel (x, y, z)."""

@@ -153,7 +153,7 @@ def _at_keypoints(
     order = np.argsort(clusters.labels, kind="stable")
     bounds = np.searchsorted(clusters.labels[order], np.arange(clusters.count + 1))
     histograms = column_histograms(
-        surface.vertices[order], surface.normals[order], bounds, keypoints, saliency.assignment,
-        config.radius, config.distance_bins, config.height_bins,
+        surface.vertices.take(order, axis=0), surface.normals.take(order, axis=0), bounds, keypoints,
+        saliency.assignment, config.radius, config.distance_bins, config.height_bins,
     )  # fmt: skip
     return histograms, saliency.weights[saliency.assignment] / saliency.counts[saliency.assignment]

@@ -20,7 +20,7 @@ from revisit.core.kernels.nearest_points import nearest_points
 from revisit.core.kernels.point_columns import MAX_GRID, columns_of
 from revisit.core.kernels.surface_cells import enter_observed_corners, find_cells, list_corners, pieces_around
 from revisit.core.kernels.voxel_families import beside, coded_neighbours, families_of
-from revisit.core.kernels.voxel_table import VoxelTable, find, slot_of, table_of, voxels_of
+from revisit.core.kernels.voxel_table import VoxelTable, distinct_rows, find, slot_of, table_of, voxels_of
 from revisit.core.model_bundle import load_packaged_models
 from revisit.core.pipeline import describe
 from revisit.core.scan import Scan
@@ -69,6 +69,15 @@ def test_the_groups_of_keys_are_those_of_numpy(greatest):
         _, numbers, counts = np.unique(some, return_inverse=True, return_counts=True)
         for found, expected in zip(grouped(some), (numbers, counts), strict=True):
             assert np.array_equal(found, expected)
+
+
+@pytest.mark.parametrize("span", [4, 3_000])
+def test_the_first_row_of_each_voxel_is_found(span):
+    voxels = np.random.default_rng(2).integers(-span, span, (3_000, 3)).astype(np.int32)
+    voxels = np.concatenate([voxels, voxels[::7]])
+    expected = np.sort(np.unique(voxels, axis=0, return_index=True)[1])
+    assert np.array_equal(distinct_rows(voxels), expected) and len(expected) <= 3_000
+    assert len(distinct_rows(voxels[:0])) == 0
 
 
 def test_no_voxels_have_no_keys():
