@@ -3,14 +3,16 @@
 One such step bends a map: the loops on one side of it agree with each other, those on the other side do so too, and
 both together with the odometry only at the price of half of them. Graduated non-convexity over steps and loops alike
 finds the steps without which everything else agrees. A place that is taken for another one looks like that too, so a
-step is believed to be broken only where loops of several places speak for it on both sides, by no more than odometry
-goes wrong, and where the way beyond is not back where odometry has it (docs/decisions/0095).
+step is broken only where loops of several places speak for it on both sides, by no more than odometry goes wrong, and
+where the way beyond is not back where odometry has it; undecided where they are of one place on a side
+(docs/decisions/0095).
 """
 
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
+from enum import Enum, auto
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,6 +34,9 @@ IN_A_ROW, BENT = 5, 75.0
 """Steps that share out a broken one where no loop is, and their squared distances together: chi-square with 30 degrees
 of freedom, one in a hundred thousand.
 """
+
+BENT_BETWEEN = 30.0
+"""Squared distances of all steps between two loops together: chi-square with 6 degrees of freedom, one in 25,000."""
 
 APART = 3
 """Submaps by which broken steps may be apart to be one fault: noise shifts a part of it to its neighbours."""
@@ -55,7 +60,10 @@ LEVER_M = 20.0
 """Metres by which a turn is as large as a shift."""
 
 UNLIKE_SHARE, UNLIKE_RAD = 0.2, float(np.radians(3.0))
-"""Of the way of a step, and its turn: from which on it is unlike the next."""
+"""Of the way of a step, and its turn: from which on it is unlike another."""
+
+NEAR_STEPS = 4
+"""Steps before and behind, all of which an odd one is unlike."""
 
 LOOSER = 10.0
 """How many times the variance of a step is once it is mended."""
@@ -64,28 +72,51 @@ _LOOSE = 1e-6
 """The weight of a step that is broken, while the others say how far."""
 
 
+class Steps(Enum):
+    """The steps that are asked whether they are broken.
+
+    Which of two sessions goes wrong, and where between two loops, no loop tells, but the step that is unlike those near
+    it is rather the one: ODD ones are asked first. Where no loop is for a while the others share a fault among them, so
+    that none of them all looks broken: therefore ODD_UNHEARD ones, of which but one may be broken. Then ALL.
+    """
+
+    ODD = auto()
+    ODD_UNHEARD = auto()
+    ALL = auto()
+
+
 def broken_steps(
     graph: PoseGraph,
     kept: Collection[int],
     left: Collection[int],
     T_map_submap: dict[str, Array64],
-    *,
-    odd: bool = False,
+    steps: Steps,
 ) -> list[Mending]:
-    """The broken steps of sessions that share a frame, beyond doubt; poses (n, 4, 4) of each to begin with.
+    """The broken steps of sessions that share a frame; poses (n, 4, 4) of each to begin with. Undecided are those that
+    loops of one place show on a side: of a short drive, or of a place that is taken for another one.
 
     Of loops within these sessions, by number, `kept` are those in the map, and `left` others that may be right: with
-    loops beside them that agree. Asked are all steps or the `odd` ones: which of two sessions goes wrong, and where
-    between two loops, no loop tells, but the step that is unlike those beside it is rather the one.
+    loops beside them that agree.
     """
-    asked = _Asked.of(graph, kept, left, T_map_submap, odd=odd)
+    asked = _Asked.of(graph, kept, left, T_map_submap, steps)
     held = asked.held() if asked.most_explained >= EXPLAINED else None
     if held is None or not held.broken.any() or held.explained < EXPLAINED:
         return []
     events = [one for track in held.tracks for one in _events(held, track)]
-    doubtful = [one for one in events if not _is_believed(one, events)]
-    large = [one for one in events if all(other.size < SMALL_SHARE * one.size for other in doubtful)]
-    return [one.mending for one in large]
+    if steps is Steps.ODD_UNHEARD:
+        most = max((one.size for one in events), default=0.0)
+        events = [one for one in events if one.size >= SMALL_SHARE * most]
+        if len(events) != 1:
+            return []
+    possible = np.array([_is_possible(one, events) for one in events], dtype=bool)
+    certain = possible & np.array([min(one.places) >= LEAST_PLACES for one in events], dtype=bool)
+    sizes = np.array([one.size for one in events])
+    outweighs, stands = (SMALL_SHARE * sizes > sizes[~some].max(initial=0.0) for some in (possible, certain))
+    return [
+        one.mending if sure else one.mending.undecided()
+        for one, chosen, sure in zip(events, possible & outweighs, certain & stands, strict=True)
+        if chosen
+    ]
 
 
 def shows_a_fault(loop: LoopEdge, T_map_submap: dict[str, Array64]) -> bool:
@@ -97,15 +128,23 @@ def shows_a_fault(loop: LoopEdge, T_map_submap: dict[str, Array64]) -> bool:
     return turn < MOST_RAD and float(np.linalg.norm(tangent[:3])) < MOST_M + turn * lever_m
 
 
-def is_bent(graph: PoseGraph, T_map_submap: dict[str, Array64]) -> bool:
-    """Whether poses (n, 4, 4) of sessions bend steps in a row as only a broken one does: loops need not be lost."""
+def is_bent(graph: PoseGraph, kept: Collection[int], T_map_submap: dict[str, Array64]) -> bool:
+    """Whether poses (n, 4, 4) of sessions bend steps in a row, or those between submaps at which `kept` loops end, as
+    only a broken one does: loops need not be lost.
+    """
     tracks = [one for one in graph.trajectories if one.session in T_map_submap]
     rows = {Node(one.session, k): n for n, (one, k) in enumerate((one, k) for one in tracks for k in range(len(one)))}
     steps = Edges.of_steps(tracks, rows)
     if not len(steps):
         return False
     errors = steps.squared_errors(np.concatenate([T_map_submap[one.session] for one in tracks]))
-    return bool((np.convolve(errors, np.ones(IN_A_ROW)) > BENT).any())
+    if (np.convolve(errors, np.ones(IN_A_ROW)) > BENT).any():
+        return True
+    held = np.zeros(len(rows), bool)
+    held[[rows[Node(one.session, 0)] for one in tracks]] = True
+    held[[rows[node] for n in kept for node in (graph.loops[n].match, graph.loops[n].query)]] = True
+    stretch = np.cumsum(held)[steps.first]
+    return bool((np.bincount(stretch, errors) > BENT_BETWEEN).any())
 
 
 @dataclass(frozen=True)
@@ -122,6 +161,7 @@ class _Asked:
     edges: Edges
     votes: Array64
     may_hold: NDArray[np.bool_]
+    asked: Steps
 
     @classmethod
     def of(
@@ -130,8 +170,7 @@ class _Asked:
         kept: Collection[int],
         left: Collection[int],
         T_map_submap: dict[str, Array64],
-        *,
-        odd: bool,
+        steps_asked: Steps,
     ) -> _Asked:
         """By the steps of the sessions and the loops of these numbers."""
         tracks = tuple(one for one in graph.trajectories if one.session in T_map_submap)
@@ -142,9 +181,9 @@ class _Asked:
         steps, edges = Edges.of_steps(tracks, rows), Edges.of_loops(loops, rows)
         start, in_map = np.concatenate([T_map_submap[one.session] for one in tracks]), np.isin(numbers, list(kept))
         map_so_far = Kept(steps, edges.chosen(in_map), start)
-        free = np.concatenate([_odd(one) | (not odd) for one in tracks])
+        free = np.concatenate([_odd(one) | (steps_asked is Steps.ALL) for one in tracks])
         may_hold = in_map | map_so_far.may_hold(edges)
-        return cls(tracks, start, steps, free, loops, edges, votes(joined_stretches(loops)), may_hold)
+        return cls(tracks, start, steps, free, loops, edges, votes(joined_stretches(loops)), may_hold, steps_asked)
 
     @property
     def most_explained(self) -> float:
@@ -152,11 +191,18 @@ class _Asked:
         return float(np.average(self.may_hold, weights=self.votes))
 
     def held(self) -> _Held:
-        """What holds by graduated non-convexity over the free steps and the loops that may hold."""
+        """What holds by graduated non-convexity over the free steps and the loops that may hold.
+
+        Unheard, free steps say nothing while it goes on.
+        """
         chosen = np.flatnonzero(self.may_hold)
         edges = self.steps.joined(self.edges.chosen(chosen))
         known = np.concatenate([~self.free, np.zeros(len(chosen), bool)])
-        poses = graduated(edges.chosen(np.argsort(~known, kind="stable")), int(known.sum()), 0, self.start)
+        if self.asked is Steps.ODD_UNHEARD:
+            heard = edges.weighted(np.concatenate([np.where(self.free, _LOOSE, 1.0), np.ones(len(chosen))]))
+            poses = graduated(heard, len(self.steps), 0, self.start)
+        else:
+            poses = graduated(edges.chosen(np.argsort(~known, kind="stable")), int(known.sum()), 0, self.start)
         holds = known | (edges.squared_errors(poses) < BROKEN)
         poses = minimise(edges.weighted(np.where(holds, 1.0, _LOOSE)), 0, poses)
         holds = known | (edges.squared_errors(poses) < BROKEN)
@@ -189,15 +235,17 @@ class _Held:
 
 
 def _odd(track: Trajectory) -> NDArray[np.bool_]:
-    """Which steps (n,) are unlike both beside them."""
+    """Which steps (n,) are unlike all of those near them: lengths come in turns where scans are far apart."""
     motions = steps_of(track)
-    if len(motions) < 2:
-        return np.zeros(len(motions), bool)
-    apart = se3_rows.log(se3_rows.inverse(motions[:-1]) @ motions[1:])
-    way_m = np.median(np.linalg.norm(motions[:, :3, 3], axis=1))
-    lengths, turns = np.linalg.norm(apart[:, :3], axis=1), np.linalg.norm(apart[:, 3:], axis=1)
-    unlike = (lengths > UNLIKE_SHARE * way_m) | (turns > UNLIKE_RAD)
-    return np.asarray(np.concatenate([[True], unlike]) & np.concatenate([unlike, [True]]))
+    way_m = np.median(np.linalg.norm(motions[:, :3, 3], axis=1)) if len(motions) else 0.0
+    odd = np.full(len(motions), len(motions) > 1)
+    for along in range(1, min(NEAR_STEPS, len(motions) - 1) + 1):
+        apart = se3_rows.log(se3_rows.inverse(motions[:-along]) @ motions[along:])
+        lengths, turns = np.linalg.norm(apart[:, :3], axis=1), np.linalg.norm(apart[:, 3:], axis=1)
+        unlike = (lengths > UNLIKE_SHARE * way_m) | (turns > UNLIKE_RAD)
+        odd[along:] &= unlike
+        odd[:-along] &= unlike
+    return odd
 
 
 @dataclass(frozen=True)
@@ -300,10 +348,10 @@ def _places(ends: NDArray[np.int64]) -> int:
     return len(np.unique((ends - ends.min()) // STRETCH))
 
 
-def _is_believed(event: _Event, events: Sequence[_Event]) -> bool:
-    """Whether a fault is beyond doubt: see the beginning of this file."""
+def _is_possible(event: _Event, events: Sequence[_Event]) -> bool:
+    """Whether a fault is one but for the places that show it: see the beginning of this file."""
     shift, turn = np.linalg.norm(event.correction[:3]), np.linalg.norm(event.correction[3:])
-    if min(event.loops) < LEAST_LOOPS or min(event.places) < LEAST_PLACES or shift > MOST_M or turn > MOST_RAD:
+    if min(event.loops) < LEAST_LOOPS or shift > MOST_M or turn > MOST_RAD:
         return False
     return not any(_come_back(event, other) for other in events if other is not event)
 

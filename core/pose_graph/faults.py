@@ -42,7 +42,8 @@ class OdometryFault:
 
     first and last: the submaps between which it lies; loops of neither side tell where. amount: metres of a slip or
     jump, radians of a turn or tilt, metres or radians a metre of a steady fault; sigma is its standard
-    deviation. loops: how many speak for it.
+    deviation. loops: how many speak for it. undecided: loops of one place alone show it on a side, so that it may be
+    a place that is taken for another one; the poses do not have it taken out.
     """
 
     session: str
@@ -52,6 +53,7 @@ class OdometryFault:
     amount: float
     sigma: float
     loops: int
+    undecided: bool = False
 
 
 @dataclass(frozen=True)
@@ -72,6 +74,16 @@ class Mending:
         covariances[steps] += self.variances[:, :, None] * np.eye(6)
         poses = composed(track.T_odom_submap[0], motions)
         return replace(track, T_odom_submap=poses, step_covariances=covariances)
+
+    def undecided(self) -> Mending:
+        """The mending of a fault that is undecided."""
+        return replace(self, fault=replace(self.fault, undecided=True))
+
+
+def doubt(T_map_submap: Array64, others: Array64) -> Array64:
+    """The covariances (n, 6, 6) that poses (n, 4, 4) have beyond their own where they may as well be others."""
+    apart = se3_rows.log(se3_rows.inverse(T_map_submap) @ others)
+    return np.asarray(apart[:, :, None] * apart[:, None, :])
 
 
 def steps_of(track: Trajectory) -> Array64:

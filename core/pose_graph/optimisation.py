@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 
 from revisit.core.geometry import se3
 from revisit.core.pose_graph.anchors import Anchor, Georeference, JudgedAnchor, require_anchors
-from revisit.core.pose_graph.broken_steps import broken_steps, is_bent, shows_a_fault
+from revisit.core.pose_graph.broken_steps import Steps, broken_steps, is_bent, shows_a_fault
 from revisit.core.pose_graph.consistency import ConsistentSet, consistent_sets
-from revisit.core.pose_graph.faults import Mending, OdometryFault
+from revisit.core.pose_graph.faults import Mending, OdometryFault, doubt
 from revisit.core.pose_graph.graph import GraphState, Node, PoseGraph, Trajectory
 from revisit.core.pose_graph.grounding import Grounding, Solution
 from revisit.core.pose_graph.heading_bias import straightened
@@ -73,7 +73,8 @@ class OptimisedGraph:
     poses, NaN where its sessions share no frame. covariances (n, 6, 6) of the poses of each session, of the tangent
     (x, y, z, rx, ry, rz) in the submap's frame, metres and radians, as of the first submap of the component, which is
     held fast; NaN where they are too large to be computed. chi2, the squared errors of all steps and of the loops and
-    anchors in the map; degrees_of_freedom, its expectation. faults: those of the odometry that were mended before.
+    anchors in the map; degrees_of_freedom, its expectation. faults: those of the odometry that were mended before, and
+    undecided ones: these the poses do not have mended, those of `otherwise` do, and the covariances allow for both.
     anchors: the verdicts on the anchors, in the order given; georeferences, of the components that they hold.
     """
 
@@ -87,6 +88,7 @@ class OptimisedGraph:
     faults: tuple[OdometryFault, ...] = ()
     anchors: tuple[JudgedAnchor, ...] = ()
     georeferences: tuple[Georeference, ...] = ()
+    otherwise: OptimisedGraph | None = None
 
     @property
     def price(self) -> float:
@@ -118,16 +120,24 @@ def optimise(
 
 @dataclass(frozen=True)
 class SolvedByLoops:
-    """The answer by drives and loops, and the graph as that has it. Anchors hold none of a method for comparison."""
+    """The answer by drives and loops, and the graph as that has it; `otherwise`, with undecided faults mended.
+
+    Anchors hold none of a method for comparison.
+    """
 
     graph: PoseGraph
     answer: OptimisedGraph
     may_hold: bool
+    otherwise: _Otherwise | None = None
 
     def held(self, anchors: Sequence[Anchor]) -> OptimisedGraph:
         """The answer by these anchors, too. Raises BadField where one names no submap, or has numbers that are none."""
         require_anchors(anchors, {one.session: len(one) for one in self.graph.trajectories})
-        return _on_earth(self.graph, self.answer, anchors) if anchors and self.may_hold else self.answer
+        answer, other = self.answer, self.otherwise
+        if anchors and self.may_hold:
+            answer = _on_earth(self.graph, answer, anchors)
+            other = other and replace(other, answer=_on_earth(other.graph, other.answer, anchors))
+        return answer if other is None else _undecided(answer, other.answer, other.mendings)
 
 
 def by_loops(
@@ -137,10 +147,50 @@ def by_loops(
     if robustness not in (Robustness.ONLINE, Robustness.COMMIT):
         return SolvedByLoops(graph, _judged(graph, robustness, progress), may_hold=False)
     graph = straightened(rescaled(graph, variance_factor(graph)))
-    answer = _judged(graph, robustness, progress)
+    answer, doubtful = _judged(graph, robustness, progress), list[list[Mending]]()
     if robustness is Robustness.COMMIT:
-        graph, answer = _without_faults(graph, answer, progress)
-    return SolvedByLoops(graph, answer, may_hold=True)
+        graph, answer, doubtful = _without_faults(graph, answer, progress)
+    found = [_Otherwise(one, mended := _mended(graph, one), _judged(mended, robustness, progress)) for one in doubtful]
+    better = [one for one in found if _explains_more(one.answer, answer, len(one.mendings))]
+    least = min((one.answer.price for one in better), default=0.0)
+    as_good = [one for one in better if one.answer.price < least + GATE]
+    chosen = min(as_good, key=lambda one: (one.steps, one.answer.price), default=None)
+    return SolvedByLoops(graph, answer, may_hold=True, otherwise=chosen)
+
+
+@dataclass(frozen=True)
+class _Otherwise:
+    """Mendings of undecided faults, the graph with them, and its answer."""
+
+    mendings: Sequence[Mending]
+    graph: PoseGraph
+    answer: OptimisedGraph
+
+    @property
+    def steps(self) -> int:
+        """Any of which may be broken."""
+        return sum(one.fault.last - one.fault.first for one in self.mendings)
+
+
+def _undecided(answer: OptimisedGraph, other: OptimisedGraph, mendings: Sequence[Mending]) -> OptimisedGraph:
+    """The answer of a graph where faults are undecided, whose poses may as well be those of the `other` one."""
+    faults, frame = _in_order([*answer.faults, *(one.fault for one in mendings)]), _frames(other)
+    covariances = {
+        session: its + doubt(answer.T_map_submap[session], other.T_map_submap[session])
+        for session, its in answer.covariances.items()
+        if frame[session] == _frames(answer)[session]
+    }
+    otherwise = replace(other, faults=faults)
+    return replace(answer, covariances=answer.covariances | covariances, faults=faults, otherwise=otherwise)
+
+
+def _frames(answer: OptimisedGraph) -> dict[str, str]:
+    """The session that gives the frame of each."""
+    return {session: group[0] for group in answer.components for session in group}
+
+
+def _in_order(faults: Iterable[OdometryFault]) -> tuple[OdometryFault, ...]:
+    return tuple(sorted(faults, key=lambda one: (one.session, one.first, one.kind)))
 
 
 def _on_earth(graph: PoseGraph, answer: OptimisedGraph, anchors: Sequence[Anchor]) -> OptimisedGraph:
@@ -178,20 +228,26 @@ Seeking = Callable[[PoseGraph, OptimisedGraph], list[Mending]]
 
 def _without_faults(
     graph: PoseGraph, answer: OptimisedGraph, progress: Callable[[int, int], None]
-) -> tuple[PoseGraph, OptimisedGraph]:
-    """Graph and answer with faults of odometry mended, as long as that explains more of the loops; or as they are."""
+) -> tuple[PoseGraph, OptimisedGraph, list[list[Mending]]]:
+    """Graph and answer with faults of odometry mended, as long as that explains more of the loops; or as they are. And
+    undecided ones, by one way to seek them, and another.
+    """
     faults: list[OdometryFault] = []
-    odd: Seeking = partial(_broken, odd=True)
-    ways: tuple[tuple[Seeking, int], ...] = ((_steady, 1), (odd, MAX_MENDINGS), (_broken, MAX_MENDINGS))
+    doubtful: list[list[Mending]] = []
+    broken: list[Seeking] = [partial(_broken, steps=steps) for steps in Steps]
+    ways: list[tuple[Seeking, int]] = [(_steady, 1), *((one, MAX_MENDINGS) for one in broken)]
     for sought, rounds in ways:
         for _ in range(rounds):
-            more = sought(graph, answer)
+            found = sought(graph, answer)
+            more = [one for one in found if not one.fault.undecided]
             mended = _mended(graph, more)
             other = _judged(mended, Robustness.COMMIT, progress) if more else answer
             if not _explains_more(other, answer, len(more)):
+                doubtful += [unsure] if (unsure := [one for one in found if one.fault.undecided]) else []
                 break
             graph, answer, faults = mended, other, faults + [one.fault for one in more]
-    return graph, replace(answer, faults=tuple(sorted(faults, key=lambda one: (one.session, one.first, one.kind))))
+            doubtful = []
+    return graph, replace(answer, faults=_in_order(faults)), doubtful
 
 
 def _mended(graph: PoseGraph, mendings: Sequence[Mending]) -> PoseGraph:
@@ -212,7 +268,7 @@ def _steady(graph: PoseGraph, answer: OptimisedGraph) -> list[Mending]:
     return found
 
 
-def _broken(graph: PoseGraph, answer: OptimisedGraph, *, odd: bool = False) -> list[Mending]:
+def _broken(graph: PoseGraph, answer: OptimisedGraph, steps: Steps) -> list[Mending]:
     """The broken steps of all components, sought where loops are set aside that others support, or a step is bent."""
     supported = supported_loops(graph)
     found: list[Mending] = []
@@ -221,8 +277,8 @@ def _broken(graph: PoseGraph, answer: OptimisedGraph, *, odd: bool = False) -> l
         inside = [n for n, one in enumerate(graph.loops) if one.match.session in poses and one.query.session in poses]
         kept = {n for n in inside if answer.loops[n] is GraphState.IN_MAP}
         left = {n for n in supported.intersection(inside) - kept if shows_a_fault(graph.loops[n], poses)}
-        if left or is_bent(graph, poses):
-            found += broken_steps(graph, kept, left, poses, odd=odd)
+        if left or is_bent(graph, kept, poses):
+            found += broken_steps(graph, kept, left, poses, steps)
     return found
 
 

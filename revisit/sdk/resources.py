@@ -203,7 +203,7 @@ class Robot(Resource):
 
 @dataclass(frozen=True, kw_only=True)
 class OdometryFault(Resource):
-    """A fault of a session's odometry that loops show. The version of the map has it mended."""
+    """A fault of a session's odometry that loops show. The version of the map has it mended, unless it is undecided."""
 
     session: str = ""
     """maps/{map}/sessions/{session}"""
@@ -228,6 +228,11 @@ class OdometryFault(Resource):
     """Submaps from the first to the last one, both included."""
     message: str = ""
     """The same in words, with the most likely cause."""
+    undecided: bool = False
+    """Whether these loops may as well take a place for another one that looks alike: they show the fault at one place
+    alone, before or behind it, and surfaces do not decide. Then the map does not have it mended, and the covariances of
+    its poses allow for it.
+    """
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -24,7 +24,7 @@ _sym_db = _symbol_database.Default()
 
 
 
-DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n\x18revisit/v1/session.proto\x12\nrevisit.v1\"\xb8\x03\n\x07Session\x12\x0c\n\x04name\x18\x01 \x01(\t\x12\r\n\x05robot\x18\x02 \x01(\t\x12(\n\x05state\x18\x03 \x01(\x0e\x32\x19.revisit.v1.Session.State\x12\x15\n\rcommitted_seq\x18\x04 \x01(\x04\x12\x13\n\x0btravelled_m\x18\x05 \x01(\x01\x12\x14\n\x0csubmap_count\x18\x06 \x01(\r\x12\x15\n\rcreated_at_ns\x18\x07 \x01(\x03\x12\x1b\n\x0e\x66inished_at_ns\x18\x08 \x01(\x03H\x00\x88\x01\x01\x12\x1f\n\x12\x63ommitted_stamp_ns\x18\t \x01(\x03H\x01\x88\x01\x01\x12%\n\x08\x66indings\x18\n \x03(\x0b\x32\x13.revisit.v1.Finding\x12\x0e\n\x06storey\x18\x0b \x01(\t\x12%\n\x08no_loops\x18\x0c \x01(\x0b\x32\x13.revisit.v1.NoLoops\x12\r\n\x05\x64rift\x18\r \x01(\t\"8\n\x05State\x12\x15\n\x11STATE_UNSPECIFIED\x10\x00\x12\n\n\x06\x41\x43TIVE\x10\x01\x12\x0c\n\x08\x46INISHED\x10\x02\x42\x11\n\x0f_finished_at_nsB\x15\n\x13_committed_stamp_ns\"(\n\x07NoLoops\x12\x0c\n\x04\x63ode\x18\x01 \x01(\t\x12\x0f\n\x07message\x18\x02 \x01(\t\"z\n\x07\x46inding\x12\x0c\n\x04\x63ode\x18\x01 \x01(\t\x12\x0f\n\x07submaps\x18\x02 \x01(\r\x12\r\n\x05\x63\x61use\x18\x03 \x01(\t\x12\x0e\n\x06\x61\x64vice\x18\x04 \x01(\t\x12\x31\n\x0eodometry_fault\x18\x05 \x01(\x0b\x32\x19.revisit.v1.OdometryFault\"\xa9\x01\n\rOdometryFault\x12\x0f\n\x07session\x18\x01 \x01(\t\x12\x0c\n\x04kind\x18\x02 \x01(\t\x12\x14\n\x0c\x66irst_submap\x18\x03 \x01(\t\x12\x13\n\x0blast_submap\x18\x04 \x01(\t\x12\x0e\n\x06\x61mount\x18\x05 \x01(\x01\x12\r\n\x05sigma\x18\x06 \x01(\x01\x12\r\n\x05loops\x18\x07 \x01(\r\x12\x0f\n\x07submaps\x18\x08 \x01(\r\x12\x0f\n\x07message\x18\t \x01(\t\"h\n\x14\x43reateSessionRequest\x12\x0e\n\x06parent\x18\x01 \x01(\t\x12\x12\n\nsession_id\x18\x02 \x01(\t\x12\r\n\x05robot\x18\x03 \x01(\t\x12\x0e\n\x06storey\x18\x04 \x01(\t\x12\r\n\x05\x64rift\x18\x05 \x01(\t\"M\n\x15\x43reateSessionResponse\x12$\n\x07session\x18\x01 \x01(\x0b\x32\x13.revisit.v1.Session\x12\x0e\n\x06replay\x18\x02 \x01(\x08\"!\n\x11GetSessionRequest\x12\x0c\n\x04name\x18\x01 \x01(\t\":\n\x12GetSessionResponse\x12$\n\x07session\x18\x01 \x01(\x0b\x32\x13.revisit.v1.Session\"L\n\x13ListSessionsRequest\x12\x0e\n\x06parent\x18\x01 \x01(\t\x12\x11\n\tpage_size\x18\x02 \x01(\x05\x12\x12\n\npage_token\x18\x03 \x01(\t\"V\n\x14ListSessionsResponse\x12%\n\x08sessions\x18\x01 \x03(\x0b\x32\x13.revisit.v1.Session\x12\x17\n\x0fnext_page_token\x18\x02 \x01(\t\"$\n\x14\x46inishSessionRequest\x12\x0c\n\x04name\x18\x01 \x01(\t\"=\n\x15\x46inishSessionResponse\x12$\n\x07session\x18\x01 \x01(\x0b\x32\x13.revisit.v1.Session\"$\n\x14\x44\x65leteSessionRequest\x12\x0c\n\x04name\x18\x01 \x01(\t\"\x17\n\x15\x44\x65leteSessionResponse2\xb2\x03\n\x0eSessionService\x12T\n\rCreateSession\x12 .revisit.v1.CreateSessionRequest\x1a!.revisit.v1.CreateSessionResponse\x12K\n\nGetSession\x12\x1d.revisit.v1.GetSessionRequest\x1a\x1e.revisit.v1.GetSessionResponse\x12Q\n\x0cListSessions\x12\x1f.revisit.v1.ListSessionsRequest\x1a .revisit.v1.ListSessionsResponse\x12T\n\rFinishSession\x12 .revisit.v1.FinishSessionRequest\x1a!.revisit.v1.FinishSessionResponse\x12T\n\rDeleteSession\x12 .revisit.v1.DeleteSessionRequest\x1a!.revisit.v1.DeleteSessionResponseb\x06proto3')
+DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n\x18revisit/v1/session.proto\x12\nrevisit.v1\"\xb8\x03\n\x07Session\x12\x0c\n\x04name\x18\x01 \x01(\t\x12\r\n\x05robot\x18\x02 \x01(\t\x12(\n\x05state\x18\x03 \x01(\x0e\x32\x19.revisit.v1.Session.State\x12\x15\n\rcommitted_seq\x18\x04 \x01(\x04\x12\x13\n\x0btravelled_m\x18\x05 \x01(\x01\x12\x14\n\x0csubmap_count\x18\x06 \x01(\r\x12\x15\n\rcreated_at_ns\x18\x07 \x01(\x03\x12\x1b\n\x0e\x66inished_at_ns\x18\x08 \x01(\x03H\x00\x88\x01\x01\x12\x1f\n\x12\x63ommitted_stamp_ns\x18\t \x01(\x03H\x01\x88\x01\x01\x12%\n\x08\x66indings\x18\n \x03(\x0b\x32\x13.revisit.v1.Finding\x12\x0e\n\x06storey\x18\x0b \x01(\t\x12%\n\x08no_loops\x18\x0c \x01(\x0b\x32\x13.revisit.v1.NoLoops\x12\r\n\x05\x64rift\x18\r \x01(\t\"8\n\x05State\x12\x15\n\x11STATE_UNSPECIFIED\x10\x00\x12\n\n\x06\x41\x43TIVE\x10\x01\x12\x0c\n\x08\x46INISHED\x10\x02\x42\x11\n\x0f_finished_at_nsB\x15\n\x13_committed_stamp_ns\"(\n\x07NoLoops\x12\x0c\n\x04\x63ode\x18\x01 \x01(\t\x12\x0f\n\x07message\x18\x02 \x01(\t\"z\n\x07\x46inding\x12\x0c\n\x04\x63ode\x18\x01 \x01(\t\x12\x0f\n\x07submaps\x18\x02 \x01(\r\x12\r\n\x05\x63\x61use\x18\x03 \x01(\t\x12\x0e\n\x06\x61\x64vice\x18\x04 \x01(\t\x12\x31\n\x0eodometry_fault\x18\x05 \x01(\x0b\x32\x19.revisit.v1.OdometryFault\"\xbc\x01\n\rOdometryFault\x12\x0f\n\x07session\x18\x01 \x01(\t\x12\x0c\n\x04kind\x18\x02 \x01(\t\x12\x14\n\x0c\x66irst_submap\x18\x03 \x01(\t\x12\x13\n\x0blast_submap\x18\x04 \x01(\t\x12\x0e\n\x06\x61mount\x18\x05 \x01(\x01\x12\r\n\x05sigma\x18\x06 \x01(\x01\x12\r\n\x05loops\x18\x07 \x01(\r\x12\x0f\n\x07submaps\x18\x08 \x01(\r\x12\x0f\n\x07message\x18\t \x01(\t\x12\x11\n\tundecided\x18\n \x01(\x08\"h\n\x14\x43reateSessionRequest\x12\x0e\n\x06parent\x18\x01 \x01(\t\x12\x12\n\nsession_id\x18\x02 \x01(\t\x12\r\n\x05robot\x18\x03 \x01(\t\x12\x0e\n\x06storey\x18\x04 \x01(\t\x12\r\n\x05\x64rift\x18\x05 \x01(\t\"M\n\x15\x43reateSessionResponse\x12$\n\x07session\x18\x01 \x01(\x0b\x32\x13.revisit.v1.Session\x12\x0e\n\x06replay\x18\x02 \x01(\x08\"!\n\x11GetSessionRequest\x12\x0c\n\x04name\x18\x01 \x01(\t\":\n\x12GetSessionResponse\x12$\n\x07session\x18\x01 \x01(\x0b\x32\x13.revisit.v1.Session\"L\n\x13ListSessionsRequest\x12\x0e\n\x06parent\x18\x01 \x01(\t\x12\x11\n\tpage_size\x18\x02 \x01(\x05\x12\x12\n\npage_token\x18\x03 \x01(\t\"V\n\x14ListSessionsResponse\x12%\n\x08sessions\x18\x01 \x03(\x0b\x32\x13.revisit.v1.Session\x12\x17\n\x0fnext_page_token\x18\x02 \x01(\t\"$\n\x14\x46inishSessionRequest\x12\x0c\n\x04name\x18\x01 \x01(\t\"=\n\x15\x46inishSessionResponse\x12$\n\x07session\x18\x01 \x01(\x0b\x32\x13.revisit.v1.Session\"$\n\x14\x44\x65leteSessionRequest\x12\x0c\n\x04name\x18\x01 \x01(\t\"\x17\n\x15\x44\x65leteSessionResponse2\xb2\x03\n\x0eSessionService\x12T\n\rCreateSession\x12 .revisit.v1.CreateSessionRequest\x1a!.revisit.v1.CreateSessionResponse\x12K\n\nGetSession\x12\x1d.revisit.v1.GetSessionRequest\x1a\x1e.revisit.v1.GetSessionResponse\x12Q\n\x0cListSessions\x12\x1f.revisit.v1.ListSessionsRequest\x1a .revisit.v1.ListSessionsResponse\x12T\n\rFinishSession\x12 .revisit.v1.FinishSessionRequest\x1a!.revisit.v1.FinishSessionResponse\x12T\n\rDeleteSession\x12 .revisit.v1.DeleteSessionRequest\x1a!.revisit.v1.DeleteSessionResponseb\x06proto3')
 
 _globals = globals()
 _builder.BuildMessageAndEnumDescriptors(DESCRIPTOR, _globals)
@@ -40,27 +40,27 @@ if not _descriptor._USE_C_DESCRIPTORS:
   _globals['_FINDING']._serialized_start=525
   _globals['_FINDING']._serialized_end=647
   _globals['_ODOMETRYFAULT']._serialized_start=650
-  _globals['_ODOMETRYFAULT']._serialized_end=819
-  _globals['_CREATESESSIONREQUEST']._serialized_start=821
-  _globals['_CREATESESSIONREQUEST']._serialized_end=925
-  _globals['_CREATESESSIONRESPONSE']._serialized_start=927
-  _globals['_CREATESESSIONRESPONSE']._serialized_end=1004
-  _globals['_GETSESSIONREQUEST']._serialized_start=1006
-  _globals['_GETSESSIONREQUEST']._serialized_end=1039
-  _globals['_GETSESSIONRESPONSE']._serialized_start=1041
-  _globals['_GETSESSIONRESPONSE']._serialized_end=1099
-  _globals['_LISTSESSIONSREQUEST']._serialized_start=1101
-  _globals['_LISTSESSIONSREQUEST']._serialized_end=1177
-  _globals['_LISTSESSIONSRESPONSE']._serialized_start=1179
-  _globals['_LISTSESSIONSRESPONSE']._serialized_end=1265
-  _globals['_FINISHSESSIONREQUEST']._serialized_start=1267
-  _globals['_FINISHSESSIONREQUEST']._serialized_end=1303
-  _globals['_FINISHSESSIONRESPONSE']._serialized_start=1305
-  _globals['_FINISHSESSIONRESPONSE']._serialized_end=1366
-  _globals['_DELETESESSIONREQUEST']._serialized_start=1368
-  _globals['_DELETESESSIONREQUEST']._serialized_end=1404
-  _globals['_DELETESESSIONRESPONSE']._serialized_start=1406
-  _globals['_DELETESESSIONRESPONSE']._serialized_end=1429
-  _globals['_SESSIONSERVICE']._serialized_start=1432
-  _globals['_SESSIONSERVICE']._serialized_end=1866
+  _globals['_ODOMETRYFAULT']._serialized_end=838
+  _globals['_CREATESESSIONREQUEST']._serialized_start=840
+  _globals['_CREATESESSIONREQUEST']._serialized_end=944
+  _globals['_CREATESESSIONRESPONSE']._serialized_start=946
+  _globals['_CREATESESSIONRESPONSE']._serialized_end=1023
+  _globals['_GETSESSIONREQUEST']._serialized_start=1025
+  _globals['_GETSESSIONREQUEST']._serialized_end=1058
+  _globals['_GETSESSIONRESPONSE']._serialized_start=1060
+  _globals['_GETSESSIONRESPONSE']._serialized_end=1118
+  _globals['_LISTSESSIONSREQUEST']._serialized_start=1120
+  _globals['_LISTSESSIONSREQUEST']._serialized_end=1196
+  _globals['_LISTSESSIONSRESPONSE']._serialized_start=1198
+  _globals['_LISTSESSIONSRESPONSE']._serialized_end=1284
+  _globals['_FINISHSESSIONREQUEST']._serialized_start=1286
+  _globals['_FINISHSESSIONREQUEST']._serialized_end=1322
+  _globals['_FINISHSESSIONRESPONSE']._serialized_start=1324
+  _globals['_FINISHSESSIONRESPONSE']._serialized_end=1385
+  _globals['_DELETESESSIONREQUEST']._serialized_start=1387
+  _globals['_DELETESESSIONREQUEST']._serialized_end=1423
+  _globals['_DELETESESSIONRESPONSE']._serialized_start=1425
+  _globals['_DELETESESSIONRESPONSE']._serialized_end=1448
+  _globals['_SESSIONSERVICE']._serialized_start=1451
+  _globals['_SESSIONSERVICE']._serialized_end=1885
 # @@protoc_insertion_point(module_scope)

@@ -68,7 +68,7 @@ class Finding(_message.Message):
     def __init__(self, code: _Optional[str] = ..., submaps: _Optional[int] = ..., cause: _Optional[str] = ..., advice: _Optional[str] = ..., odometry_fault: _Optional[_Union[OdometryFault, _Mapping]] = ...) -> None: ...
 
 class OdometryFault(_message.Message):
-    __slots__ = ("session", "kind", "first_submap", "last_submap", "amount", "sigma", "loops", "submaps", "message")
+    __slots__ = ("session", "kind", "first_submap", "last_submap", "amount", "sigma", "loops", "submaps", "message", "undecided")
     SESSION_FIELD_NUMBER: _ClassVar[int]
     KIND_FIELD_NUMBER: _ClassVar[int]
     FIRST_SUBMAP_FIELD_NUMBER: _ClassVar[int]
@@ -78,6 +78,7 @@ class OdometryFault(_message.Message):
     LOOPS_FIELD_NUMBER: _ClassVar[int]
     SUBMAPS_FIELD_NUMBER: _ClassVar[int]
     MESSAGE_FIELD_NUMBER: _ClassVar[int]
+    UNDECIDED_FIELD_NUMBER: _ClassVar[int]
     session: str
     kind: str
     first_submap: str
@@ -87,7 +88,8 @@ class OdometryFault(_message.Message):
     loops: int
     submaps: int
     message: str
-    def __init__(self, session: _Optional[str] = ..., kind: _Optional[str] = ..., first_submap: _Optional[str] = ..., last_submap: _Optional[str] = ..., amount: _Optional[float] = ..., sigma: _Optional[float] = ..., loops: _Optional[int] = ..., submaps: _Optional[int] = ..., message: _Optional[str] = ...) -> None: ...
+    undecided: bool
+    def __init__(self, session: _Optional[str] = ..., kind: _Optional[str] = ..., first_submap: _Optional[str] = ..., last_submap: _Optional[str] = ..., amount: _Optional[float] = ..., sigma: _Optional[float] = ..., loops: _Optional[int] = ..., submaps: _Optional[int] = ..., message: _Optional[str] = ..., undecided: _Optional[bool] = ...) -> None: ...
 
 class CreateSessionRequest(_message.Message):
     __slots__ = ("parent", "session_id", "robot", "storey", "drift")

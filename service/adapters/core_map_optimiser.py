@@ -136,6 +136,7 @@ class NamedGraph:
                 for anchor, verdict in zip(self.fixed, optimised.anchors, strict=True)
             ),
             on_earth=tuple(FrameOnEarth(numbers[one.session], one) for one in optimised.georeferences),
+            otherwise=None if optimised.otherwise is None else self.answer(optimised.otherwise),
         )
 
     def _track(self, track: SessionTrack, optimised: OptimisedGraph) -> OptimisedTrack:

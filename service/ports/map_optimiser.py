@@ -155,7 +155,7 @@ class OptimisedMap:
     faults of odometry without which they do (`session` is the number), and the joins that surfaces speak against.
 
     audited: how many submaps each session, by number, had when its surfaces were last compared with others. anchors:
-    the verdicts on them; on_earth, the frames that they hold.
+    the verdicts on them; on_earth, the frames that they hold. otherwise: the solution with undecided faults mended.
     """
 
     tracks: tuple[OptimisedTrack, ...]
@@ -167,6 +167,7 @@ class OptimisedMap:
     audited: Mapping[int, int] = field(default_factory=dict)
     anchors: tuple[JudgedTrackAnchor, ...] = ()
     on_earth: tuple[FrameOnEarth, ...] = ()
+    otherwise: OptimisedMap | None = None
 
 
 @dataclass(frozen=True)

@@ -33,10 +33,10 @@ const FAULTS = { SLIP: "slip", JUMP: "jump", TURN: "turn", TILT: "tilt", SCALE: 
 const DEGREES = 180 / Math.PI;
 
 /** A fault of odometry in a few words: `slip 4.9 m`. */
-export function faultOf({ kind, amount }) {
+export function faultOf({ kind, amount, undecided }) {
   const size = Math.abs(amount);
   const sizes = { SLIP: `${size.toFixed(1)} m`, JUMP: `${size.toFixed(1)} m`, HEADING: `${(size * DEGREES).toFixed(2)}\u00b0/m`, SCALE: `${(100 * size).toFixed(1)} %`, SLOPE: `${(100 * size).toFixed(1)} %` };
-  return `${FAULTS[kind] ?? kind.toLowerCase()} ${sizes[kind] ?? `${(size * DEGREES).toFixed(1)}\u00b0`}`;
+  return `${FAULTS[kind] ?? kind.toLowerCase()} ${sizes[kind] ?? `${(size * DEGREES).toFixed(1)}\u00b0`}${undecided ? "?" : ""}`;
 }
 
 /** A few words for a list. */

@@ -9,6 +9,13 @@ from revisit.service.domain.records import SessionRecord
 from revisit.service.features.graph.odometry_faults import OdometryFaultView, faults_of
 from revisit.service.ports.transactions import UnitOfWork
 
+_MENDED = "the map has it mended; mend the odometry before the next drive"
+_UNDECIDED = "odometry_undecided"
+_LOOK = (
+    "one of both is wrong, and the map beyond may be off by so much: reject these loops where the place repeats, "
+    "or drive on past other places that the map has"
+)
+
 
 @dataclass(frozen=True)
 class SessionFinding:
@@ -22,14 +29,9 @@ class SessionFinding:
 
 
 def odometry_findings(uow: UnitOfWork, session: SessionRecord) -> Iterator[SessionFinding]:
-    """The faults of its odometry that the map's version in force has mended."""
+    """The faults of its odometry by the map's version in force, which has them mended but for undecided ones."""
     record = uow.maps.get(session.tenant, session.map_id)
     version = None if record is None else uow.map_versions.get(session.tenant, session.map_id, record.map_version)
     for fault in faults_of(uow, version, session.session_id):
-        yield SessionFinding(
-            f"odometry_{fault.kind.lower()}",
-            fault.submaps,
-            fault.message,
-            "the map has it mended; mend the odometry before the next drive",
-            fault,
-        )
+        code, advice = (_UNDECIDED, _LOOK) if fault.undecided else (f"odometry_{fault.kind.lower()}", _MENDED)
+        yield SessionFinding(code, fault.submaps, fault.message, advice, fault)

@@ -12,6 +12,7 @@ from revisit.core.geometry.se3 import Matrix4
 from revisit.core.merge.evidence import MergeEvidence, MergeRefusal, surfaces_refusal
 from revisit.core.pose_graph.graph import GraphState
 from revisit.service.domain.identity import TenantId
+from revisit.service.features.graph.fault_audit import Placed, decided
 from revisit.service.features.graph.reading import MapTask
 from revisit.service.features.graph.session_poses import PackedSubmaps
 from revisit.service.ports.blobs import NEURAL_MAP_BLOB
@@ -32,6 +33,9 @@ VERSION_PAIRS = 100
 MOST_PAIRS = 40
 LEAST_PAIRS = 8
 """Pairs for one join: fewer where a version has many."""
+
+FAULT_PAIRS = 20
+"""Pairs for one side of an undecided fault of odometry, asked twice: with the fault mended, and without."""
 
 GROWTH = 0.1
 """A session is compared again once it has more submaps, by this share, than when it was compared last."""
@@ -100,7 +104,7 @@ class JoinAudit:
             key = frozenset(loops.items())
             if key not in by_loops:
                 by_loops[key] = self._optimiser.by_loops(replace(task.graph, refused=loops), progress)
-            optimised = by_loops[key].held(fixed)
+            optimised = asked.decided(by_loops[key].held(fixed))
             more = asked.refused(optimised)
             if not more:
                 return replace(optimised, refused_joins=refused, audited=_audited(task))
@@ -148,6 +152,14 @@ class _Audit:
                 refused[pair] = reason, found
         why = {_sides(groups, pair): refusal for pair, refusal in refused.items()}
         return tuple(_refused_join(self._task, sides, *refusal) for sides, refusal in why.items())
+
+    def decided(self, optimised: OptimisedMap) -> OptimisedMap:
+        """A solution with its undecided faults of odometry mended, or without them, where the surfaces decide."""
+
+        def compared(first: Placed, second: Placed) -> MergeEvidence | None:
+            return self._merger.audit(first, second, self._surfaces, self._scale, FAULT_PAIRS, self._progress)
+
+        return decided(self._task, optimised, compared, self._merger.limits.scaled(self._scale))
 
     def _pairs_each(self, groups: int) -> int:
         return max(LEAST_PAIRS, min(MOST_PAIRS, VERSION_PAIRS // max(groups - 1, 1)))

@@ -28,6 +28,7 @@ class OdometryFaultView:
     loops: int
     submaps: int
     message: str
+    undecided: bool
 
 
 _AT_ONCE = {
@@ -41,6 +42,7 @@ _THROUGHOUT = {
     "SLOPE": ("climbs by {} of the way", "%", "a sensor that is mounted askew (pitch)"),
     "HEADING": ("turns by {} a metre", "degrees", "the bias of a gyro"),
 }
+_UNDECIDED = "; or these loops take the place for another one that looks alike: not decided, and not mended"
 _FACTORS = {"m": 1.0, "degrees": 180.0 / math.pi, "%": 100.0}
 
 
@@ -62,6 +64,7 @@ def stored_faults(task: MapTask, faults: Iterable[OdometryFault]) -> list[dict[s
             "amount": one.amount,
             "sigma": one.sigma,
             "loops": one.loops,
+            **({"undecided": True} if one.undecided else {}),
         }
         for one in faults
         if one.session in tracks
@@ -90,6 +93,8 @@ def _view(stored: dict[str, Any], names: dict[int, str]) -> OdometryFaultView:
     amount = f"{abs(factor * stored['amount']):.2g} {unit} (standard deviation {factor * stored['sigma']:.1g})"
     is_placed = kind in _AT_ONCE and first is not None and last is not None
     where = f"between submaps {_last(first)} and {_last(last)} " if is_placed else ""
+    undecided = bool(stored.get("undecided"))
+    said = f"{where}its odometry {did.format(amount)}, as {stored['loops']} loops say: {cause}"
     return OdometryFaultView(
         session=stored["session"],
         kind=kind,
@@ -99,7 +104,8 @@ def _view(stored: dict[str, Any], names: dict[int, str]) -> OdometryFaultView:
         sigma=stored["sigma"],
         loops=stored["loops"],
         submaps=stored["submaps"],
-        message=f"{where}its odometry {did.format(amount)}, as {stored['loops']} loops say: {cause}",
+        message=f"{said}{_UNDECIDED}" if undecided else said,
+        undecided=undecided,
     )
 
 

@@ -100,7 +100,7 @@ def _sides(uow: UnitOfWork, record: MapRecord, frames: MapFrames) -> list[_Side]
     """Both ends of each broken step that the version in force has mended."""
     version = uow.map_versions.get(record.tenant, record.map_id, record.map_version)
     faults = [] if version is None else version.summary.get(FAULTS, [])
-    broken = [fault for fault in faults if FaultKind(fault["kind"]).is_at_once]
+    broken = [fault for fault in faults if FaultKind(fault["kind"]).is_at_once and not fault.get("undecided")]
     numbers = [fault[end] for fault in broken for end in ("first_number", "last_number")]
     known = uow.submaps.numbered(record.tenant, sorted(set(numbers))) if numbers else {}
     ends = [(known.get(fault["first_number"]), known.get(fault["last_number"])) for fault in broken]

@@ -1,0 +1,138 @@
+"""Faults of odometry that loops of one place show on a side: the surfaces decide. Made-up fleets and surfaces."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+
+from revisit.core.geometry import se3
+from revisit.core.geometry.se3 import pose_row
+from revisit.core.merge.evidence import MergeEvidence
+from revisit.service.domain.identity import SessionKey
+from revisit.service.features.resources.paging import PageRequest
+from tests.support.fake_merger import FakeMerger
+from tests.support.fleet_in_service import fleet_in, slipped_fleet_in
+from tests.support.service_world import TENANT, memory_world
+
+MISPLACED = 45
+"""The submap of `s1` from which on it is taken for another place; one place."""
+
+HEARD = {*range(8, 27), *range(34, 53)}
+"""The submaps of `s1` with loops, which has slipped by 5 m before its submap 30: 19 on either side, one place."""
+
+NEAR_M = 10.0
+"""Submaps farther apart have no surface in common."""
+
+
+class Surfaces(FakeMerger):
+    """Surfaces that agree where submaps lie to each other as in a `truth` (4, 4) each, by number, but for `within_m`;
+    all do without one.
+    """
+
+    def __init__(self, truth: dict[int, np.ndarray] | None, within_m: float = 1.5) -> None:
+        self._truth, self._within_m = truth, within_m
+
+    def audit(self, first, second, surfaces, scale, most, progress) -> MergeEvidence:
+        """Nothing is read."""
+        off_m = [] if self._truth is None else [self._off_m(one, pose, second) for one, pose in first.items()]
+        return MergeEvidence(5_000, 0.02, 0.01, 0.2 if max(off_m, default=0.0) > self._within_m else 0.001)
+
+    def _off_m(self, one, pose, second) -> float:
+        there = {n: se3.inverse(self._truth[n]) @ self._truth[one] for n in second}
+        other = min(second, key=lambda n: np.linalg.norm(there[n][:3, 3]))
+        found = se3.inverse(second[other]) @ pose
+        near = np.linalg.norm(there[other][:3, 3]) < NEAR_M
+        return float(np.linalg.norm((found - there[other])[:3, 3])) if near else 0.0
+
+
+class Drives:
+    """Two drives of which one has slipped, or is taken for one beside it at its end; loops show one place there."""
+
+    def __init__(self, *, slipped: bool) -> None:
+        self.world = memory_world()
+        made = slipped_fleet_in if slipped else partial(fleet_in, sessions=2, submaps=60, per_pair=90)
+        self.fleet = made(self.world, "town")
+        self.submaps = {
+            one.number: (one.session_id, one.ordinal) for one in self.read(lambda uow: uow.submaps.find(TENANT))
+        }
+        loops = self.read(lambda uow: uow.loops.find(TENANT, map_id="town"))
+        changed = [one for loop in loops for one in (self.silenced(loop) if slipped else self.misplaced(loop))]
+        self.world.context.transactions.write(lambda uow: [uow.loops.replace(one) for one in changed] and None).result()
+
+    def at_of_s1(self, loop) -> list[int]:
+        """The submaps of `s1` that a loop joins."""
+        ends = [self.submaps[number] for number in (loop.query_number, loop.match_number)]
+        return [at for session, at in ends if session == "s1"]
+
+    def silenced(self, loop) -> Iterator:
+        if any(at not in HEARD for at in self.at_of_s1(loop)):
+            yield replace(loop, state="REJECTED", reason="AMBIGUOUS", graph_state=None)
+
+    def misplaced(self, loop) -> Iterator:
+        """`s1` lies 14 m aside where it is taken for another place."""
+        if all(at < MISPLACED for at in self.at_of_s1(loop)):
+            return
+        aside, truth = se3.from_yaw(0.0, (0.0, 14.0, 0.0)), self.truth()
+        query, match = (
+            aside @ truth[number] if self.submaps[number][0] == "s1" else truth[number]
+            for number in (loop.query_number, loop.match_number)
+        )
+        yield replace(loop, T_match_query=pose_row(se3.inverse(match) @ query))
+
+    def read(self, work):
+        return self.world.context.transactions.read(work).result()
+
+    def truth(self) -> dict[int, np.ndarray]:
+        return {number: self.fleet.fleet.truth[session][at] for number, (session, at) in self.submaps.items()}
+
+    def off_m(self, listed) -> float:
+        poses = {s: np.stack([one.T_map_submap for one in listed if one.key.session_id == s]) for s in ("s0", "s1")}
+        return self.fleet.fleet.error_m(poses)
+
+    async def optimised(self):
+        """The summary of a version, the findings of `s1`, how far off its poses are, and how unsure, metres."""
+        await self.world.use_cases.map_versions.optimise(TENANT, "town")
+        self.world.work_off()
+        version = await self.world.use_cases.map_versions.get(TENANT, "town", 1)
+        session = await self.world.use_cases.sessions.get(TENANT, SessionKey("town", "s1"))
+        listed = (await self.world.use_cases.map_versions.poses(TENANT, "town", 1, PageRequest(500))).items
+        sigma = max(float(np.sqrt(np.trace(np.reshape(one.covariance, (6, 6))[:3, :3]))) for one in listed)
+        codes = [one.code for one in session.findings if one.code.startswith("odometry_")]
+        return version.summary, codes, self.off_m(listed), sigma
+
+
+async def test_a_slip_of_a_short_drive_is_mended_where_surfaces_speak_against_the_odometry():
+    drives = Drives(slipped=True)
+    drives.world.merger = Surfaces(drives.truth())
+    summary, codes, off_m, _ = await drives.optimised()
+    (fault,) = summary["odometry_faults"]
+    assert (fault["kind"], fault["undecided"], codes) == ("SLIP", False, ["odometry_slip"])
+    assert (summary["loops_set_aside"], off_m < 0.5) == (0, True)
+
+
+async def test_a_slip_that_surfaces_do_not_decide_is_told_and_the_map_as_unsure_as_that():
+    drives = Drives(slipped=True)
+    drives.world.merger = Surfaces(None)
+    summary, codes, off_m, sigma_m = await drives.optimised()
+    (fault,) = summary["odometry_faults"]
+    assert (fault["undecided"], codes) == (True, ["odometry_undecided"])
+    assert summary["loops_set_aside"] > 0 and 1.0 < off_m < sigma_m
+
+
+async def test_a_place_taken_for_another_one_is_no_fault_where_surfaces_agree_with_the_odometry():
+    drives = Drives(slipped=False)
+    drives.world.merger = Surfaces(drives.truth(), within_m=4.0)
+    summary, codes, off_m, _ = await drives.optimised()
+    assert (summary["odometry_faults"], codes) == ([], [])
+    assert summary["loops_set_aside"] > 5 and off_m < 2.0
+
+
+async def test_a_place_taken_for_another_one_is_told_where_surfaces_do_not_decide_and_moves_nothing():
+    drives = Drives(slipped=False)
+    drives.world.merger = Surfaces(None)
+    summary, codes, off_m, _ = await drives.optimised()
+    assert codes == ["odometry_undecided"]
+    assert summary["loops_set_aside"] > 5 and off_m < 2.0
