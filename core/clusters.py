@@ -37,7 +37,7 @@ def segment_clusters(surface: Surface, config: ClusterConfig) -> Clusters:
     labels = np.full(len(surface.vertices), -1, dtype=np.int32)
     if len(rows) == 0:
         return Clusters(labels, 0, ground)
-    parts = euclidean_clusters(surface.vertices[rows], config.radius)
+    parts = euclidean_clusters(surface.vertices.take(rows, axis=0), config.radius)
     sizes = np.bincount(parts)
     dominant = [part for part in np.argsort(-sizes, kind="stable") if sizes[part] >= config.min_vertices]
     renumbered = np.full(len(sizes), -1, dtype=np.int32)
@@ -80,7 +80,8 @@ def _plane_height(vertices: Array, ground: NDArray[np.bool_]) -> NDArray[np.floa
     if ground.sum() < 10:
         return np.full(len(vertices), np.percentile(vertices[:, 2], 5.0))
     design = np.column_stack([vertices[:, :2], np.ones(len(vertices))]).astype(np.float64)
-    plane, *_ = np.linalg.lstsq(design[ground], vertices[ground, 2].astype(np.float64))
+    rows = np.flatnonzero(ground)
+    plane, *_ = np.linalg.lstsq(design.take(rows, axis=0), vertices[rows, 2].astype(np.float64))
     return np.asarray(design @ plane)
 
 

@@ -41,10 +41,10 @@ def project(surface: Surface, voxels: Flags, config: BevConfig) -> Array:
     so that neither the number of returns nor a single tall structure sets the scale.
     """
     size = image_size(surface.resolution, config)
-    pixels = surface.occupied[voxels][:, :2] + size // 2
-    inside = ((pixels >= 0) & (pixels < size)).all(axis=1)
-    places = pixels[inside, 1] * size + pixels[inside, 0]
-    sums = np.bincount(places, surface.occupancy[voxels][inside], size * size)  # Eq. 9
+    rows = np.flatnonzero(voxels)
+    x, y = surface.occupied.take(rows, axis=0)[:, :2].T + size // 2
+    inside = (x >= 0) & (x < size) & (y >= 0) & (y < size)
+    sums = np.bincount(y[inside] * size + x[inside], surface.occupancy[rows][inside], size * size)  # Eq. 9
     return normalise(sums.reshape(size, size).astype(np.float32), config)
 
 
@@ -64,6 +64,7 @@ def _voxels_near(surface: Surface, vertices: Flags, voxels: Flags, distance: flo
     """Which voxels (o,), of those chosen, have their centre within `distance` metres of a chosen vertex (v,)."""
     near = np.zeros(len(surface.occupied), dtype=bool)
     if vertices.any() and voxels.any():
-        centres = (surface.occupied[voxels] + np.float32(0.5)) * np.float32(surface.resolution)
-        near[voxels] = any_within(centres, columns_of(surface.vertices[vertices], distance), distance)  # Eq. 7
+        rows, points = np.flatnonzero(voxels), surface.vertices.take(np.flatnonzero(vertices), axis=0)
+        centres = (surface.occupied.take(rows, axis=0) + np.float32(0.5)) * np.float32(surface.resolution)
+        near[rows] = any_within(centres, columns_of(points, distance), distance)  # Eq. 7
     return near

@@ -156,7 +156,8 @@ def _near(points: NDArray[np.floating]) -> Array:
     ranges = _ranges(points)
     if len(points) == 0:
         return np.empty((0, 3))
-    near = points[(ranges > 0.0) & (ranges < 3.0 * np.median(ranges))].astype(np.float64)
+    rows = np.flatnonzero((ranges > 0.0) & (ranges < 3.0 * np.median(ranges)))
+    near = points.take(rows, axis=0).astype(np.float64)
     return np.asarray(near[:: max(1, len(near) // MAX_POINTS)])
 
 

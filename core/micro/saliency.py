@@ -36,7 +36,7 @@ def weigh_clusters(keypoints: Array, surface: Surface, clusters: Clusters, epsil
         nothing = np.zeros(0)
         return Saliency(np.full(len(keypoints), -1, np.int32), nothing.astype(np.int64), nothing)
     rows = np.flatnonzero(clusters.labels >= 0)
-    tree = cKDTree(surface.vertices[rows, :2], balanced_tree=False, compact_nodes=False)
+    tree = cKDTree(surface.vertices.take(rows, axis=0)[:, :2], balanced_tree=False, compact_nodes=False)
     _, nearest = tree.query(keypoints)
     assignment = clusters.labels[rows[nearest]].astype(np.int32)  # Eq. 10
     counts = np.bincount(assignment, minlength=clusters.count)  # Eq. 11

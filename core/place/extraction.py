@@ -54,7 +54,7 @@ def _spread_rows(points: Array, chosen: NDArray[np.bool_], spacing: float, limit
     """
     x, y, z = np.abs(points).T
     near = np.flatnonzero(chosen & (x < 300.0) & (y < 300.0) & (z < 300.0))
-    cubes = np.floor(points[near].T.astype(np.float64) / spacing + CORNER).astype(np.int64).T
+    cubes = np.floor(points.take(near, axis=0).T.astype(np.float64) / spacing + CORNER).astype(np.int64).T
     first = first_rows(voxel_keys(cubes))
     spread = near[first]
     if len(spread) <= limit:

@@ -118,13 +118,14 @@ def thinned_cloud(points: NDArray[np.floating]) -> tuple[Array, float]:
     """At most 3,000 of the nearer points, one a voxel, and the scene's scale compared with a street's."""
     points = sample_of(points)
     # returns that did not come back are zeros in some drivers' data
-    points = points[(points[:, 0] != 0.0) | (points[:, 1] != 0.0) | (points[:, 2] != 0.0)]
+    x, y, z = points.T
+    points = points.take(np.flatnonzero((x != 0.0) | (y != 0.0) | (z != 0.0)), axis=0)
     ranges = np.sqrt(np.einsum("ij,ij->i", points, points))
     if len(points) == 0:
         return np.empty((0, 3)), 1.0
     middle = np.median(ranges)
     scale = float(np.clip(middle / 10.0, 0.02, 1_000.0))
-    near = points[ranges < 3.0 * middle].astype(np.float64)
+    near = points.take(np.flatnonzero(ranges < 3.0 * middle), axis=0).astype(np.float64)
     thinned = near[first_rows(voxel_keys(np.floor(near / (0.4 * scale)).astype(np.int64)))]
     return thinned[:: max(1, len(thinned) // 3_000)], scale
 
