@@ -1,6 +1,6 @@
 """Ten days of one circuit in one map, whose policy keeps one view of a place: index and surfaces stay near those of one
-session, bytes below half of those of one that keeps its scans; recall and poses stay; what stood for a while is gone from
-the map of now. Simulated. Ten minutes of a core.
+session, bytes below half of those of one that keeps its scans; recall and poses stay; what stood for a while is gone
+from the map of now. Simulated. Ten minutes of a core.
 """
 
 from __future__ import annotations
