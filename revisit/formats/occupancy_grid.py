@@ -16,6 +16,12 @@ MAX_CELLS = 64_000_000
 
 _GROUND_CELL_M = 2.0
 
+_STANDING_M = 0.6
+"""From this height on a point of a surface, one in a voxel of 0.4 m, is an obstacle: lower ones may be of a kerb."""
+
+_MIDDLE = 4
+"""Of the cells around a place."""
+
 
 @dataclass(frozen=True)
 class GridOptions:
@@ -74,9 +80,9 @@ def grid_of(points: NDArray[np.floating], options: GridOptions = GridOptions()) 
 
 
 def without_gone(
-    grid: OccupancyGrid, ever: NDArray[np.floating], now: NDArray[np.floating], voxel_m: float
+    grid: OccupancyGrid, newest: OccupancyGrid, ever: NDArray[np.floating], now: NDArray[np.floating], voxel_m: float
 ) -> OccupancyGrid:
-    """A grid without the obstacles of its drives that no longer stand.
+    """A grid of several drives without the obstacles that no longer stand; those of the `newest` drive all do.
 
     `ever` (n, 3) and `now` (m, 3) are points of the surface of the same map, one in a voxel: all that was ever there,
     and that which the latest drive left. An obstacle is gone where the first has one within a voxel and the second
@@ -86,9 +92,10 @@ def without_gone(
     if not len(rows) or not len(ever) or not len(now):
         return grid
     centres = np.column_stack([columns + 0.5, len(grid.cells) - rows - 0.5]) * grid.resolution_m + grid.origin
-    options = GridOptions(resolution_m=voxel_m)
+    options = GridOptions(resolution_m=voxel_m, least_height_m=_STANDING_M)
     stood, left = (_around(grid_of(points, options), centres) for points in (ever, now))
     gone = (stood == OCCUPIED).any(axis=1) & (left != OCCUPIED).all(axis=1)
+    gone &= _around(newest, centres)[:, _MIDDLE] != OCCUPIED
     cells = grid.cells.copy()
     seen = (left[gone] == FREE).any(axis=1)
     cells[rows[gone], columns[gone]] = np.where(seen, FREE, UNKNOWN)

@@ -161,20 +161,24 @@ class MapGrids:
             clouds.append(se3.apply(pose.T_map_submap, self._cloud(pose.submap)))
         self._points = {pose.submap: self._points[pose.submap] for pose in placed}
         if clouds:
-            grid = grid_of(np.concatenate(clouds), GridOptions(resolution_m=self.resolution_m))
-            several = len({pose.submap.partition("/submaps/")[0] for pose in placed}) > 1
-            if several and not self.ever:
-                grid = self._of_now(grid, version, frame)
+            grid = self._grid(clouds)
+            sessions = [pose.submap.partition("/submaps/")[0] for pose in placed]
+            if len(set(sessions)) > 1 and not self.ever:
+                newest = self._grid([cloud for cloud, of in zip(clouds, sessions, strict=True) if of == sessions[-1]])
+                grid = self._of_now(grid, newest, version, frame)
             self._made = MapGrid(version, frame, grid)
 
-    def _of_now(self, grid: OccupancyGrid, version: int, frame: str) -> OccupancyGrid:
+    def _grid(self, clouds: Sequence[NDArray[np.float64]]) -> OccupancyGrid:
+        return grid_of(np.concatenate(clouds), GridOptions(resolution_m=self.resolution_m))
+
+    def _of_now(self, grid: OccupancyGrid, newest: OccupancyGrid, version: int, frame: str) -> OccupancyGrid:
         """A grid without what is gone; as it is where the service does not tell that."""
         try:
             now, ever = (self.source.surface(version, frame, ever=ever) for ever in (False, True))
         except (ApiError, RevisitError) as error:
             log.warning("the grid of version %d keeps what may be gone: %s", version, error.message)
             return grid
-        return without_gone(grid, ever.points, now.points, now.voxel_m)
+        return without_gone(grid, newest, ever.points, now.points, now.voxel_m)
 
     def _cloud(self, submap: str) -> NDArray[np.float64]:
         if submap not in self._points:

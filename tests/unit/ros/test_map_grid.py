@@ -93,6 +93,8 @@ def test_an_obstacle_that_a_later_drive_looked_through_leaves_the_grid() -> None
     assert obstacles(grids) == [2.55]
     assert (followed(grids, 1).grid.cells == 254).sum() == 199, "the cell of the post is free"
     assert obstacles(MapGrids(yard, 0.1, ever=True)) == [0.55, 2.55]
+    yard.placed.reverse()
+    assert obstacles(MapGrids(yard, 0.1)) == [0.55, 2.55], "the newest drive has seen the post"
 
 
 def test_a_grid_keeps_what_the_service_does_not_judge() -> None:
@@ -124,4 +126,7 @@ def test_the_map_of_a_service_is_followed() -> None:
         client.wait(client.optimise_map("maps/town"))
         made = followed(grids, 1)
         assert made.grid.cells.size > 100
+        now, ever = (source.surface(1, made.frame, ever=ever) for ever in (False, True))
+        assert now.voxel_m == ever.voxel_m == pytest.approx(0.4)
+        assert 0 < len(now.points) <= len(ever.points)
         grids.close()
