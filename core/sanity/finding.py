@@ -48,8 +48,10 @@ LIKELY_CAUSES = {
     ),
     "non_finite": ("an organised cloud of an open place, or a damaged field", "leave NaN and infinity out"),
     "odometry_bends": (
-        "the odometry turns steadily beside the truth, by more than 0.05 degrees a metre; in curves alone: the sensor's "
-        "mount is not as the poses have it",
+        (
+            "the odometry turns steadily beside the truth, by more than 0.05 degrees a metre; in curves alone: the "
+            "sensor's mount is not as the poses have it"
+        ),
         "calibrate its gyroscope or wheels, or the mount; submaps are straightened before they are described",
     ),
     "degenerate_plane": ("all points lie on one plane", "expect no loops from such a place"),
