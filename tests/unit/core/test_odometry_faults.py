@@ -179,6 +179,16 @@ def test_a_slip_that_bends_the_steps_beside_it_and_costs_no_loop_is_found() -> N
     assert apart_m(answer) < 0.3
 
 
+def test_the_session_that_slipped_is_named_where_scans_are_so_far_apart_that_lengths_of_steps_alternate():
+    """Submaps begin at every third or fourth scan, 1.5 m apart: 4.5, 4.5 and 6 m."""
+    way, slipping = np.eye(4), FAULTS["a slip of 5 m"][2]
+    poses = [way := way @ se3.from_yaw(0.01, (6.0 if k % 3 == 0 else 4.5, 0.0, 0.0)) for k in range(SUBMAPS)]
+    drives = [odometry("a", np.stack(poses), 1), odometry("b", np.stack(poses), 2, slipping)]
+    right = [one for one in loops(np.stack(poses)) if one.match.ordinal not in range(AT - 5, AT + 6)]
+    (fault,) = optimise(PoseGraph.of(drives, right)).faults
+    assert (fault.session, fault.kind, fault.first, fault.last) == ("b", FaultKind.SLIP, AT - 1, AT)
+
+
 def short_drive(wrong: Motion = lambda _, motion: motion) -> PoseGraph:
     """Two drives, of which loops show eight submaps behind AT: one place."""
     poses = winding_way(AT + 15)
