@@ -48,6 +48,14 @@ class Surfaces(FakeMerger):
         return float(np.linalg.norm((found - there[other])[:3, 3])) if near else 0.0
 
 
+class Contrary(FakeMerger):
+    """Surfaces that agree nowhere."""
+
+    def audit(self, first, second, surfaces, scale, most, progress) -> MergeEvidence:
+        """Nothing is read."""
+        return MergeEvidence(5_000, 0.02, 0.01, 0.2)
+
+
 class Drives:
     """Two drives of which one has slipped, or is taken for one beside it at its end; loops show one place there."""
 
@@ -136,3 +144,10 @@ async def test_a_place_taken_for_another_one_is_told_where_surfaces_do_not_decid
     summary, codes, off_m, _ = await drives.optimised()
     assert codes == ["odometry_undecided"]
     assert summary["loops_set_aside"] > 5 and off_m < 2.0
+
+
+async def test_an_undecided_fault_is_told_where_surfaces_keep_the_drives_apart():
+    drives = Drives(slipped=True)
+    drives.world.merger = Contrary()
+    summary, codes, _, _ = await drives.optimised()
+    assert (summary["frames"], codes) == (2, ["odometry_undecided"])

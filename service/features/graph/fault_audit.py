@@ -1,8 +1,8 @@
 """Undecided faults of odometry: the surfaces beside a step tell whether it is broken, or a place taken for another one.
 
 Of a short drive loops show a broken step at one place alone, before it or behind. A place that is taken for another one
-looks like that, too; but there the surfaces agree where odometry has them. Only where these contradict the poses
-without the mending, and none the poses with it, the step is broken (docs/decisions/0363).
+looks like that, too; but there the surfaces agree where odometry carries them across the step. Only where these
+contradict each other on either side, and agree where the step is mended, it is broken (docs/decisions/0363).
 """
 
 from __future__ import annotations
@@ -29,11 +29,11 @@ Comparison = Callable[[Placed, Placed], MergeEvidence | None]
 DRIFT_DEG, DRIFT_M = (-2.0, -1.0, 1.0, 2.0), (-0.7, 0.7)
 """Turns about the vertical and shifts aside, from which surfaces of a stretch look wrong that is but poorly held."""
 
-BENT = 7
-"""Submaps before and behind a broken step that are bent for it where the loops of both sides are in the map."""
+NEAR = 7
+"""Submaps before and behind it that odometry has hardly moved elsewhere."""
 
 FAR = 20
-"""Submaps before and behind it that lie elsewhere where the loops of one side alone are in the map."""
+"""Submaps before and behind it that are looked at, at most."""
 
 COVERED = 2
 """Submaps that cover a step, before and behind it: their own clouds are torn by it."""
@@ -46,13 +46,18 @@ def decided(task: MapTask, optimised: OptimisedMap, compared: Comparison, limits
     other = optimised.otherwise
     if other is None:
         return optimised
-    sides = [side for fault in optimised.faults if fault.undecided for side in _sides(task, other, fault)]
-    as_it_is, mended = (_Surfaces(_poses(task, one), compared, limits) for one in (optimised, other))
-    if all(mended.agree(side) for side in sides):
-        if any(as_it_is.contradict(side) for side in sides):
-            return replace(other, faults=tuple(replace(one, undecided=False) for one in optimised.faults))
-    elif all(as_it_is.agree(side) for side in sides):
-        return _without_doubt(optimised, other)
+    poses, surfaces = _poses(task, other), _Surfaces(compared, limits)
+    faults = [_sides(task, other, poses, fault) for fault in optimised.faults if fault.undecided]
+    sides = [side for fault in faults for stretches in fault for side in stretches]
+    if all(surfaces.agree(side, side.mended) for side in sides):
+        stretches = [some for fault in faults for some in fault]
+        is_broken = all(any(surfaces.contradict(one, one.by_odometry) for one in some) for some in stretches)
+        faults_now = tuple(replace(one, undecided=False) for one in optimised.faults)
+        return replace(other, faults=faults_now) if is_broken else optimised
+    if any(surfaces.contradict(side, side.mended) for side in sides):
+        stands = [[all(surfaces.agree(one, one.by_odometry) for one in some) for some in fault] for fault in faults]
+        is_right = all(any(either) for either in stands)
+        return _without_doubt(optimised, other) if is_right else optimised
     return optimised
 
 
@@ -70,22 +75,34 @@ def _without_doubt(optimised: OptimisedMap, other: OptimisedMap) -> OptimisedMap
 
 @dataclass(frozen=True)
 class _Side:
-    """Submaps of a session beside a fault, the nearest one first, and those of the drives that loops join them with."""
+    """T_map_submap (4, 4) of submaps of a session beside a fault, the nearest one first: where it is mended, and where
+    odometry carries them across it, as if the loops of this side were wrong. Beside, those that loops join them with.
+    """
 
-    submaps: tuple[int, ...]
-    beside: frozenset[int]
+    mended: Placed
+    by_odometry: Placed
+    beside: Placed
 
 
-def _sides(task: MapTask, other: OptimisedMap, fault: OdometryFault) -> Iterator[_Side]:
-    """Stretches before the fault and behind it, short ones and long ones."""
+def _sides(
+    task: MapTask, other: OptimisedMap, poses: dict[int, Matrix4], fault: OdometryFault
+) -> tuple[list[_Side], list[_Side]]:
+    """Short and long stretches before a fault, and such behind it; `poses` of all submaps where it is mended."""
     track = next(one for one in task.graph.tracks if str(one.session_number) == fault.session)
     until, start = fault.first + 1, fault.last
     own = frozenset(track.submaps[max(0, until - FAR) : start + FAR])
-    beside = frozenset(number for one in task.graph.tracks for number in _passed(one, _joined(task, other, own))) - own
-    for reach in (BENT, FAR):
-        before = track.submaps[max(0, until - reach) : max(0, until - COVERED)]
-        yield _Side(before[::-1], beside)
-        yield _Side(track.submaps[start + COVERED : start + reach], beside)
+    joined = _joined(task, other, own)
+    beside = {n: poses[n] for one in task.graph.tracks for n in _passed(one, joined) if n not in own}
+
+    def side(ordinals: Sequence[int], across: int) -> _Side:
+        T_map_odom = poses[track.submaps[across]] @ se3.inverse(track.T_odom_submap[across])
+        carried = {track.submaps[k]: np.asarray(T_map_odom @ track.T_odom_submap[k]) for k in ordinals}
+        return _Side({number: poses[number] for number in carried}, carried, beside)
+
+    last, count = max(0, until - COVERED) - 1, len(track.submaps)
+    before = [side(range(last, max(0, until - reach) - 1, -1), start) for reach in (NEAR, FAR)]
+    behind = [side(range(start + COVERED, min(start + reach, count)), fault.first) for reach in (NEAR, FAR)]
+    return before, behind
 
 
 def _joined(task: MapTask, other: OptimisedMap, own: frozenset[int]) -> frozenset[int]:
@@ -113,27 +130,25 @@ def _poses(task: MapTask, optimised: OptimisedMap) -> dict[int, Matrix4]:
 
 @dataclass(frozen=True)
 class _Surfaces:
-    """Surfaces of submaps at `poses`."""
+    """Surfaces on one side of a fault, where odometry may have drifted from there on."""
 
-    poses: dict[int, Matrix4]
     compared: Comparison
     limits: MergeLimits
 
-    def agree(self, side: _Side) -> bool:
-        """Whether they do on one side of a fault."""
-        return self._refusal(side, np.eye(4)) is None
+    def agree(self, side: _Side, placed: Placed) -> bool:
+        """Whether they do, as the side may have drifted."""
+        return any(self._refusal(side, placed, drift) is None for drift in _drifts())
 
-    def contradict(self, side: _Side) -> bool:
-        """Whether they do so however the side has drifted from the fault on."""
-        return bool(side.submaps) and all(self._refusal(side, drift) in _AGAINST for drift in _drifts())
+    def contradict(self, side: _Side, placed: Placed) -> bool:
+        """Whether they contradict each other however the side has drifted."""
+        return all(self._refusal(side, placed, drift) in _AGAINST for drift in _drifts())
 
-    def _refusal(self, side: _Side, drift: Matrix4) -> MergeRefusal | None:
-        if not side.submaps or not side.beside:
+    def _refusal(self, side: _Side, placed: Placed, drift: Matrix4) -> MergeRefusal | None:
+        if not placed or not side.beside:
             return MergeRefusal.OVERLAP_TOO_SMALL
-        nearest = self.poses[side.submaps[0]]
+        nearest = next(iter(placed.values()))
         moved = nearest @ drift @ se3.inverse(nearest)
-        first = {number: np.asarray(moved @ self.poses[number]) for number in side.submaps}
-        evidence = self.compared(first, {number: self.poses[number] for number in sorted(side.beside)})
+        evidence = self.compared({number: np.asarray(moved @ pose) for number, pose in placed.items()}, side.beside)
         return MergeRefusal.OVERLAP_TOO_SMALL if evidence is None else surfaces_refusal(evidence, self.limits)
 
 

@@ -10,6 +10,7 @@ from functools import partial
 from revisit.core.errors import DataLoss
 from revisit.core.geometry.se3 import Matrix4
 from revisit.core.merge.evidence import MergeEvidence, MergeRefusal, surfaces_refusal
+from revisit.core.pose_graph.faults import OdometryFault
 from revisit.core.pose_graph.graph import GraphState
 from revisit.service.domain.identity import TenantId
 from revisit.service.features.graph.fault_audit import Placed, decided
@@ -99,6 +100,7 @@ class JoinAudit:
         scale = self._context.policy.for_map(task.map).scene_scale
         asked = _Audit(scale, self._merger, task, surfaces, progress)
         refused: tuple[RefusedJoin, ...] = ()
+        undecided: tuple[OdometryFault, ...] = ()
         while True:
             loops = dict(loops_between(task, refused))
             key = frozenset(loops.items())
@@ -106,9 +108,11 @@ class JoinAudit:
                 by_loops[key] = self._optimiser.by_loops(replace(task.graph, refused=loops), progress)
             optimised = asked.decided(by_loops[key].held(fixed))
             more = asked.refused(optimised)
+            faults = tuple(dict.fromkeys((*optimised.faults, *undecided)))
             if not more:
-                return replace(optimised, refused_joins=refused, audited=_audited(task))
+                return replace(optimised, faults=faults, refused_joins=refused, audited=_audited(task))
             refused += more
+            undecided = tuple(one for one in faults if one.undecided)
 
     def refused(self, task: MapTask, progress: Progress) -> tuple[RefusedJoin, ...]:
         """The joins that its solution is without; a map is not solved where the version in force has said it."""
