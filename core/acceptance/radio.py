@@ -25,6 +25,9 @@ with a fifth of the identifiers false; storeys above each other have 0.2 (a ceil
 FADE_M = 40.0
 """Over so many metres of a storey the likeness falls to a third: places 10 m apart have 0.63 there, 30 m apart 0.37."""
 
+FURTHEST_M = 200.0
+"""Nothing more is made up for beyond: submaps that share surfaces are nearer, but poses of clouds are anything."""
+
 OTHER = 0.5
 """A place is another one where its likeness, less what the distance takes, is below this share of that elsewhere."""
 
@@ -41,21 +44,24 @@ def radio_refuted(new: Sequence[LoopClaim], before: Sequence[LoopClaim]) -> dict
     `before`: earlier claims of its drive.
     """
     heard = {row: alike for row, one in enumerate(new) if one.hypotheses and (alike := _likeness(one)) is not None}
-    if max(heard.values(), default=0.0) < ALIKE or not _is_trusted(before):
+    if max(heard.values(), default=0.0) < ALIKE:
         return {}
-    near = {row: alike / _left(new[row]) for row, alike in heard.items()}
+    # A drive agrees with itself: this tells nothing of the drives of another day, whose access points may be gone.
+    trusted = {own: _is_trusted([one for one in before if one.of_one_drive == own]) for own in (False, True)}
+    near = {row: _near(new[row], alike) for row, alike in heard.items() if trusted[new[row].of_one_drive]}
     refuted = dict[int, LoopClaim]()
     for row, alike in near.items():
-        beside = [other for other, its in heard.items() if its >= ALIKE and _are_two(new[row], new[other])]
+        beside = [other for other in near if heard[other] >= ALIKE and _are_two(new[row], new[other])]
         elsewhere = max(beside, key=near.__getitem__, default=row)
         if alike < OTHER * near[elsewhere]:
             refuted[row] = _refuted(new[row], heard[row], heard[elsewhere])
     return refuted
 
 
-def _left(claim: LoopClaim) -> float:
-    """The share of the likeness of one place that is left at the distance that a claim says."""
-    return math.exp(-float(np.linalg.norm(claim.hypotheses[0][:3, 3])) / FADE_M)
+def _near(claim: LoopClaim, alike: float) -> float:
+    """The likeness of a claim without what its distance takes, at most 1; of several poses the nearest counts."""
+    away_m = min(float(np.linalg.norm(pose[:3, 3])) for pose in claim.hypotheses)
+    return min(alike * math.exp(min(away_m, FURTHEST_M) / FADE_M), 1.0)
 
 
 def _refuted(claim: LoopClaim, alike: float, elsewhere: float) -> LoopClaim:

@@ -12,7 +12,7 @@ from revisit.core.config import PipelineConfig
 from revisit.core.pair_verdict import PairVerdict
 from revisit.core.radio import RadioFingerprint
 from tests.support.claims import STRIDE_M, WORDS, along_x, at, pair
-from tests.support.verdicts import rejected
+from tests.support.verdicts import rejected, verified
 
 TWIN_M = 150.0
 """How far along its drive the twin lies."""
@@ -86,6 +86,22 @@ def test_a_place_far_away_need_not_hear_as_much():
     far = replace(claim(TWIN_M, half), verdict=pair(at(20.0), at(170.0), [along_x(40.0)]).verdict)
     assert radio_refuted((claim(0.0, HERE), claim(TWIN_M, half)), AGREE).keys() == {1}
     assert radio_refuted((claim(0.0, HERE), far), AGREE) == {}
+
+
+@pytest.mark.parametrize("wrong_m", [30.0, 80.0, 40_000.0])
+def test_a_false_pose_far_away_does_not_make_a_place_louder(wrong_m):
+    right, its = claim(0.0, radio(1, 2, 3, 4, 20)), radio(1, 2, 20, 21, 22, 23)  # they hear 0.67 and 0.22 of the same
+    beside = pair(right.query, replace(at(50.0), radio=its), [along_x(wrong_m), along_x(-32.0)], "AMBIGUOUS")
+    assert radio_refuted((right, beside), AGREE) == {}
+    assert 0 not in radio_refuted((right, replace(beside, verdict=verified(along_x(wrong_m)))), AGREE)
+
+
+def test_loops_of_a_drive_with_itself_say_nothing_of_the_radio_of_others():
+    own = tuple(replace(one, match=replace(one.match, drive=2)) for one in AGREE)
+    new = claim(0.0, HERE), claim(TWIN_M, THERE)
+    assert radio_refuted(new, AGREE).keys() == {1} and radio_refuted(new, own) == {}
+    with_itself = [replace(one, match=replace(one.match, drive=2)) for one in new]
+    assert radio_refuted(with_itself, own).keys() == {1} and radio_refuted(with_itself, AGREE) == {}
 
 
 def test_a_place_of_another_drive_is_not_held_against_it():
