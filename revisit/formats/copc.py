@@ -6,6 +6,7 @@ half the size. A node whose points are few keeps them all. Needs the package `co
 
 from __future__ import annotations
 
+import ctypes
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -36,7 +37,7 @@ def write(
 ) -> None:
     """Write points (n, 3) in metres; `wkt` describes their reference system, and `intensity` is (n,).
 
-    Raises BadField as `Millimetres.of`.
+    It has its name once it is whole. Raises BadField as `Millimetres.of`, and OSError where it cannot be written.
     """
     stored = Millimetres.of(points)
     low, high = stored.bounds()
@@ -47,11 +48,26 @@ def write(
     info = config.copc_info
     info.center_x, info.center_y, info.center_z = (float(least) + half_m for least in low)
     info.halfsize, info.spacing = half_m, 2 * half_m / CELLS
-    rows = _rows(stored, intensity)
-    writer = copclib.FileWriter(str(path), config)
-    for node, chosen in octree(stored.counts):
-        writer.AddNode(copclib.VoxelKey(*node), copclib.VectorChar(rows[chosen].view(np.int8)))
-    writer.Close()
+    part = path.with_name(f"{path.name}.part")
+    try:
+        _write_nodes(part, config, stored, _rows(stored, intensity))
+        part.replace(path)
+    finally:
+        part.unlink(missing_ok=True)
+
+
+def _write_nodes(path: Path, config: copclib.CopcConfigWriter, stored: Millimetres, rows: NDArray[np.void]) -> None:
+    """Write the file. Raises OSError where it cannot be opened, or there is no room."""
+    writer = None
+    try:
+        writer = copclib.FileWriter(str(path), config)
+        for node, chosen in octree(stored.counts):
+            writer.AddNode(copclib.VoxelKey(*node), copclib.VectorChar(rows[chosen].view(np.int8)))
+        writer.Close()
+    except RuntimeError as error:
+        # The end of a writer whose file takes no more would end the process.
+        ctypes.pythonapi.Py_IncRef(ctypes.py_object(writer))
+        raise OSError(f"{path} cannot be written: {error}") from error
 
 
 def octree(counts: NDArray[np.int32]) -> Iterator[tuple[Node, NDArray[np.intp]]]:

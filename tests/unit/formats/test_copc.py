@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
+
 import laspy
 import numpy as np
 import pytest
@@ -69,3 +72,23 @@ def test_points_at_one_spot_are_written(tmp_path, count):
 def test_a_cloud_without_points_is_refused(tmp_path):
     with pytest.raises(BadField):
         copc.write(tmp_path / "a.copc.laz", np.zeros((0, 3)))
+
+
+def test_a_file_for_which_there_is_no_room_leaves_nothing(tmp_path, points):
+    """In a process of its own: the end of the writer's own object would take the process with it."""
+    np.save(tmp_path / "points.npy", points)
+    program = (
+        "import pathlib, resource, sys, numpy as np; from revisit.formats import copc\n"
+        "path = pathlib.Path(sys.argv[1])\n"
+        "resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, 100_000))\n"
+        "try: copc.write(path / 'a.copc.laz', np.load(path / 'points.npy'))\n"
+        "except OSError as error: print(error)\n"
+    )
+    ended = subprocess.run([sys.executable, "-c", program, tmp_path], capture_output=True, text=True, check=False)
+    assert ended.returncode == 0 and "cannot be written" in ended.stdout
+    assert [one.name for one in tmp_path.iterdir()] == ["points.npy"]
+
+
+def test_a_folder_that_is_not_there_is_an_error_of_the_system(tmp_path, points):
+    with pytest.raises(OSError, match="cannot be written"):
+        copc.write(tmp_path / "no" / "a.copc.laz", points)
