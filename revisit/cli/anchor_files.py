@@ -6,6 +6,7 @@ import csv
 import difflib
 import io
 import json
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -49,13 +50,18 @@ def _of_table(name: str, text: str) -> list[NewAnchor]:
             near = difflib.get_close_matches(column, COLUMNS, n=1)
             hint = f"did you mean {near[0]}?" if near else f"they are {', '.join(COLUMNS)}"
             raise refuse(f"{name} has a column {column!r}, which is none of anchors: {hint}")
-    return [_made(f"{name}, row {reader.line_num}", _of_row, row) for row in reader]
+    if twice := [column for column, count in Counter(reader.fieldnames or ()).items() if count > 1]:
+        raise refuse(f"{name} has the column {twice[0]} twice")
+    try:
+        return [_made(f"{name}, row {reader.line_num}", _of_row, row) for row in reader]
+    except csv.Error as error:
+        raise refuse(f"{name}, after row {reader.line_num}: {error}") from error
 
 
 def _of_json(name: str, text: str) -> list[NewAnchor]:
     try:
         told = json.loads(text)
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise refuse(f"{name} is no JSON: {error}") from error
     rows = told.get("anchors") if isinstance(told, dict) else told
     if not isinstance(rows, list) or not all(isinstance(row, dict) for row in rows):
@@ -69,15 +75,17 @@ def _made(where: str, make: Any, row: Mapping[str, Any]) -> NewAnchor:
         made: NewAnchor = make(row)
     except KeyError as error:
         raise refuse(f"{where}: {error.args[0]} is missing") from error
-    except (TypeError, ValueError, RevisitError) as error:
+    except (TypeError, ValueError, OverflowError, AttributeError, RevisitError) as error:
         raise refuse(f"{where}: {error}") from error
     return made
 
 
-def _of_row(row: Mapping[str, str | None]) -> NewAnchor:
+def _of_row(row: Mapping[str | None, Any]) -> NewAnchor:
     from revisit.sdk.anchors import NewAnchor
 
-    told = {column: value.strip() for column, value in row.items() if value is not None and value.strip()}
+    if None in row:
+        raise ValueError("it has more values than there are columns (numbers have points: 48.1)")
+    told = {column: value.strip() for column, value in row.items() if column and value is not None and value.strip()}
     geodetic, local, pose, heading = (_numbers(told, group) for group in (EARTH, LOCAL, POSE, HEADING))
     return NewAnchor(
         told["anchor_id"],

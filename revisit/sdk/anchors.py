@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from revisit.core.errors import BadField
 from revisit.sdk.messages import pose_message
 
 ANCHORS_AT_ONCE = 200
@@ -36,8 +37,10 @@ class NewAnchor:
     heading_sigma_rad: float | None = None
 
     def message(self) -> dict[str, Any]:
-        """The fields of a NewAnchor of the interface."""
+        """The fields of a NewAnchor of the interface. Raises BadField for standard deviations that are not positive."""
         stated = np.asarray(self.covariance_enu, dtype=np.float64)
+        if stated.shape == (3,) and not (stated > 0.0).all():
+            raise BadField("standard deviations must be positive", field="covariance_enu")
         covariance = np.diag(stated**2) if stated.shape == (3,) else stated
         earth = ("latitude_deg", "longitude_deg", "altitude_m")
         fields = {

@@ -10,6 +10,7 @@ import pytest
 import typer
 
 from revisit.cli.anchor_files import COLUMNS, EARTH, HEADING, LOCAL, OFFSET, POSE, SIGMAS, anchors_in
+from revisit.core.errors import BadField
 from revisit.core.geometry import se3
 from revisit.sdk.anchors import NewAnchor
 
@@ -87,3 +88,27 @@ def test_a_file_that_cannot_be_read_says_where(tmp_path, capsys, name, text, tol
         anchors_in(written(tmp_path, name, text))
     assert told in capsys.readouterr().err
     assert len(set(COLUMNS)) == len(COLUMNS)
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "told"),
+    [
+        ("a.csv", TABLE.replace("48.1", "48,1"), "row 2: it has more values than there are columns"),
+        ("a.csv", TABLE.replace("fix-1", "f" * 200_000), "after row 1: field larger than field limit"),
+        ("a.csv", "anchor_id,kind,kind\n", "has the column kind twice"),
+        ("a.json", "[" * 100_000, "is no JSON"),
+        ("a.json", json.dumps([DOOR.message() | {"stamp_ns": 1e400}]), "anchor 1: cannot convert float infinity"),
+        ("a.json", '[{"name": 5, "kind": "GNSS"}]', "anchor 1: 'int' object has no"),
+    ],
+    ids=["decimal comma", "long", "twice", "deep", "infinite", "name"],
+)
+def test_a_broken_file_is_refused_with_its_row(tmp_path, capsys, name, text, told):
+    with pytest.raises(typer.Exit):
+        anchors_in(written(tmp_path, name, text))
+    assert told in capsys.readouterr().err
+
+
+def test_a_standard_deviation_is_positive(tmp_path):
+    fix, _ = anchors_in(written(tmp_path, "anchors.csv", TABLE.replace("1.5,1.5,3", "-1.5,1.5,3")))
+    with pytest.raises(BadField, match="standard deviations must be positive"):
+        fix.message()
