@@ -12,6 +12,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, SecretStr
 from pydantic_core import from_json
 from pydantic_settings import NoDecode
 
+from revisit.api.addresses import GRPC_ADDRESS
 from revisit.core.config import PipelineConfig
 from revisit.service.access_settings import AccessSettings
 from revisit.service.capacity.limits import CapacityLimits, PaceLimits
@@ -112,7 +113,7 @@ class Settings(AccessSettings):
     grpc_port: int = Field(default=8090, ge=0, le=65535, description="gRPC port; 0 takes a free one")
     grpc_address: str = Field(
         default="",
-        pattern=r"^((grpcs://)?(\[[0-9A-Fa-f:.]+\]|[^/\s:\[\]]+):[0-9]{1,5})?$",
+        pattern=f"^({GRPC_ADDRESS})?$",
         description="where clients reach gRPC behind a proxy or a published port: HOST:PORT, or grpcs://HOST:PORT for "
         "TLS; clients that know the HTTP address alone are told; unset for `grpc_port` on the host of that address",
     )

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import os
+import re
 from urllib.parse import urlsplit
 
+from revisit.api.addresses import GRPC_ADDRESS
 from revisit.core.errors import BadField
 from revisit.sdk.credentials import Credentials
 from revisit.sdk.errors import ApiError
@@ -42,7 +44,8 @@ def grpc_address(given: str | None = None, http: str | None = None, credentials:
     else that of the service at $REVISIT_HTTP; else of the one on this machine.
 
     The service is asked over HTTP, with `credentials`, by default those of the environment. Where it does not say,
-    port 8090 is taken beside port 8080. Raises BadField beside another port: it would be a guess.
+    port 8090 is taken beside port 8080. Raises BadField beside another port: it would be a guess; and where the
+    service says no address, or one without TLS although it is asked with TLS: the key would be sent there.
     """
     if address := given or ("" if http else _variable("REVISIT_GRPC")):
         return address
@@ -52,8 +55,13 @@ def grpc_address(given: str | None = None, http: str | None = None, credentials:
     if not told and port != HTTP_PORT:
         message = f"the gRPC side of {beside} is not known, as the service does not say it ({why})"
         raise BadField(f"{message}: give --grpc HOST:PORT, or REVISIT_GRPC", field="grpc")
-    told = told or f":{GRPC_PORT}"
-    return f"{'grpcs://' if secure else ''}{host}{told}" if told.startswith(":") else told
+    address = told or f":{GRPC_PORT}"
+    address = f"{'grpcs://' if secure else ''}{host}{address}" if address.startswith(":") else address
+    if not re.fullmatch(GRPC_ADDRESS, address) or (secure and not address.startswith("grpcs://")):
+        message = f"the service at {beside} says that its gRPC side is at {told!r}"
+        wrong = "which has no TLS" if re.fullmatch(GRPC_ADDRESS, address) else "which is no address"
+        raise BadField(f"{message}, {wrong}: give --grpc HOST:PORT, or REVISIT_GRPC", field="grpc")
+    return address
 
 
 def _told(http: str, credentials: Credentials) -> tuple[str, str]:

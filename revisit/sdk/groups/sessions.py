@@ -6,6 +6,7 @@ import builtins
 from collections.abc import Iterable
 from typing import Any
 
+from revisit.core.errors import BadField
 from revisit.sdk import names
 from revisit.sdk.anchors import ANCHORS_AT_ONCE, NewAnchor
 from revisit.sdk.groups.group import Group
@@ -97,10 +98,13 @@ class Sessions(Group):
 
         They tell twins of one plan apart. Addresses leave this program hashed with `key`, which all robots of a map
         must share; by default it is the name of the map, which hides them from a glance alone.
+        Raises BadField for an empty key.
         """
         parent = name_of(session, names.SESSION)
         secret = parent.partition("/sessions/")[0] if key is None else key
         secret = secret.encode() if isinstance(secret, str) else secret
+        if not secret:
+            raise BadField("the key that hides addresses must not be empty", field="key")
         made, stored = [one.message(secret) for one in readings], 0
         for start in range(0, len(made), READINGS_AT_ONCE):
             some: Any = made[start : start + READINGS_AT_ONCE]

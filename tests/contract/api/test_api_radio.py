@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import pytest
 
+from revisit.core.errors import BadField
 from revisit.core.radio import RadioFingerprint
 from revisit.sdk.errors import AlreadyExists, ApiError, InvalidArgument, NotFound
 from revisit.sdk.radio import RadioReading, hashed_address
@@ -39,6 +40,8 @@ def test_the_key_of_a_fleet_makes_other_hashes_of_the_same_addresses(client, ses
     client.sessions.post_radio(session, [replace(READING, stamp_ns=1)], key="of the fleet")
     upper = RadioReading(2, {bssid.upper().replace(":", "-"): dbm for bssid, dbm in HALL.items()})
     client.sessions.post_radio(session, [upper], key=b"of the fleet")
+    with pytest.raises(BadField, match="must not be empty"):
+        client.sessions.post_radio(session, [upper], key="")
     first, second, third = stored(service, session)
     assert first.heard != second.heard == third.heard
 

@@ -80,6 +80,20 @@ def test_an_explicit_grpc_side_wins_and_nobody_is_asked(monkeypatch):
     assert asked == []
 
 
+@pytest.mark.parametrize("told", ["unix:/tmp/x", "hub:1\nb", ":", ":hub/", ":8090@hub:1", "dns://hub/hub:1", "hub"])
+def test_an_answer_that_is_no_address_is_not_taken(told):
+    with telling({"grpc_address": told}) as (http, _), pytest.raises(BadField, match="which is no address"):
+        grpc_address("", http)
+
+
+def test_the_key_of_a_client_that_asks_with_tls_is_not_sent_without_it(monkeypatch):
+    monkeypatch.setattr(addresses, "_told", lambda *_: ("maps.example:8090", ""))
+    assert grpc_address("", "http://maps.example") == "maps.example:8090"
+    with pytest.raises(BadField, match="which has no TLS: give --grpc"):
+        grpc_address("", "https://maps.example")
+    assert grpc_address("maps.example:8090", "https://maps.example") == "maps.example:8090"
+
+
 def test_a_service_of_an_earlier_version_tells_nothing():
     with telling({"version": "0.2.0"}) as (http, _), pytest.raises(BadField, match="it is of an earlier version"):
         grpc_address("", http)
