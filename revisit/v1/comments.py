@@ -494,7 +494,7 @@ COMMENTS = {
     'revisit.v1.PublishMapFileResponse.replay': 'The same waited already.',
     'revisit.v1.Quaternion': 'A unit quaternion; its norm must be 1 within 0.001.',
     'revisit.v1.RadioReading': 'The access points that a robot hears at one time.',
-    'revisit.v1.RadioReading.access_points': 'Of 1 to 64 access points, none twice: 16 hex digits each, a hash of an address, made with a key that the service does not know. All robots of a map use the same.',
+    'revisit.v1.RadioReading.access_points': 'Of 1 to 64 access points, none twice: 16 hex digits each, a hash of an address, made with a key that all robots of a map share and the service need not know.',
     'revisit.v1.RadioReading.stamp_ns': '0 to 9223372036854775807.',
     'revisit.v1.RadioReading.strengths_dbm': 'The strength of each, in the same order: -100 to 0 dBm.',
     'revisit.v1.RadioService': 'Readings of radio: which access points a robot hears, and how strongly. They tell twins of one plan apart.',

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from typing import TypeVar
 
 from revisit.core.errors import BadField
+from revisit.core.radio import FAINTEST_DBM
 
 N = TypeVar("N", int, float)
 
@@ -131,6 +132,7 @@ HEADING_SIGMA_RAD = Range(1e-4, 1.0, "radians")
 READINGS = Range(1, 100)
 """Of one call."""
 READINGS_OF_SESSION = 20_000
+STRENGTH_DBM = Range(FAINTEST_DBM, 0.0, "dBm")
 
 # Lists and waiting
 PAGE_SIZE = Range(1, 500)

@@ -44,6 +44,7 @@ BOUNDS: dict[str, Range] = {
     "heading_sigma_rad": limits.HEADING_SIGMA_RAD,
     **limits.GEODETIC,
     "page_size": limits.PAGE_SIZE,
+    "strengths_dbm": limits.STRENGTH_DBM,
     "stamp_ns": limits.STAMP_NS,
     "as_of_ns": limits.STAMP_NS,
     "after_ns": limits.STAMP_NS,
@@ -52,7 +53,7 @@ BOUNDS: dict[str, Range] = {
     "min_seq_timeout_s": limits.WAIT_S,
     "timeout_s": limits.WAIT_S,
 }
-"""Of numbers."""
+"""Of numbers; of a list, those of each."""
 
 TEXTS: dict[str, dict[str, Any]] = {
     "map_id": ID,

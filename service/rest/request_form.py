@@ -164,6 +164,8 @@ def _kind(field: FieldDescriptor, by_id: bool, in_body: bool) -> Any:
 
 def _type(field: FieldDescriptor) -> Any:
     one = _type_of_one(field)
+    if field.is_repeated and field.name in BOUNDS:
+        one = Annotated[one, Field(**bounds(BOUNDS[field.name]))]
     return list[one] if field.is_repeated and one is not _MANY else one  # type: ignore[valid-type]  # made at run time
 
 
@@ -206,7 +208,7 @@ _SCALARS: dict[int, type] = {
 
 def _details(field: FieldDescriptor, by_id: bool) -> dict[str, Any]:
     """Bounds and description of a field."""
-    if field.name in BOUNDS:
+    if field.name in BOUNDS and not field.is_repeated:
         return _described(field, bounds(BOUNDS[field.name]))
     if is_transform(field):
         return _described(field, {"max_length": POSE_CHARACTERS}, POSE_HELP)

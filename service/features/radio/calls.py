@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from functools import partial
 
 from revisit.core.errors import BadField
-from revisit.core.radio import FAINTEST_DBM, IDENTIFIER_BYTES, MOST_HEARD, RadioFingerprint
+from revisit.core.radio import IDENTIFIER_BYTES, MOST_HEARD, RadioFingerprint
 from revisit.service.capacity.limits import READING_POINTS, STORED_READING_POINTS
 from revisit.service.domain import limits
 from revisit.service.domain.errors import AlreadyExists
@@ -38,8 +38,8 @@ class RadioReading:
             raise BadField(f"a reading must have 1 to {MOST_HEARD} access points, none twice", field="access_points")
         if not all(map(_IDENTIFIER.fullmatch, names)):
             raise BadField(f"an access point has {2 * IDENTIFIER_BYTES} hex digits", field="access_points")
-        if len(self.strengths_dbm) != len(names) or any(not FAINTEST_DBM <= dbm <= 0 for dbm in self.strengths_dbm):
-            message = f"strengths_dbm must hold as many numbers as access_points, {FAINTEST_DBM:.0f} to 0"
+        if len(self.strengths_dbm) != len(names) or any(dbm not in limits.STRENGTH_DBM for dbm in self.strengths_dbm):
+            message = f"strengths_dbm must hold as many numbers as access_points, each in {limits.STRENGTH_DBM}"
             raise BadField(message, field="strengths_dbm")
         heard = dict(zip(map(bytes.fromhex, names), map(float, self.strengths_dbm), strict=True))
         stored = RadioFingerprint.of([heard]).to_bytes()
