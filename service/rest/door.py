@@ -74,17 +74,16 @@ class Door:
     """Nothing can be seen of a connection before its handshake: one too many waits for its turn."""
     _waiting: dict[socket.socket, _Waiting] = field(default_factory=dict)
 
-    def arrive(self, arrival: Arrival) -> bool:
-        """Let a connection in if it may begin, or by its first bytes. Whether it was let in."""
+    def arrive(self, arrival: Arrival) -> None:
+        """Let a connection in if it may begin, or by its first bytes."""
         if self.encrypted:
             arrival.shown = Shown.UNKNOWN
         if self._begins(arrival):
             self.let_in(arrival)
-            return True
-        if self.encrypted:
+        elif self.encrypted:
             self._wait(arrival)
-            return False
-        return self._look(arrival)
+        else:
+            self._look(arrival)
 
     def _begins(self, arrival: Arrival) -> bool:
         return arrival.shown is not None and self.unauthenticated.may_begin(arrival.address, arrival.shown)
@@ -95,19 +94,18 @@ class Door:
             self._forget(connection)
             connection.close()
 
-    def _look(self, arrival: Arrival) -> bool:
+    def _look(self, arrival: Arrival) -> None:
         try:
             shown = arrival.connection.recv(SHOWN_BYTES, socket.MSG_PEEK)
         except BlockingIOError:
             self._wait(arrival)
-            return False
+            return
         except OSError:
             shown = b""
         if shown and self._goes_on(arrival, shown):
             self.let_in(arrival)
-            return True
+            return
         _send_away(arrival.connection, ALIVE if shown.startswith(b"GET /livez ") else REFUSAL)
-        return False
 
     def _goes_on(self, arrival: Arrival, shown: bytes) -> bool:
         """Whether a connection is let in for its credential."""

@@ -27,12 +27,10 @@ from it."""
 NO_FILES_S = 0.2
 """How long nothing is accepted where the process may open no more files."""
 
-LOOKED_AT_AT_ONCE = 128
-"""Connections that are accepted in one turn of the event loop; to send one away takes 0.07 ms of a core."""
-
 AT_ONCE = 32
-"""Of them, those that are let in. It takes some turns until their first bytes are read; before that they are
-unauthenticated, and an address may have more of those than these turns bring.
+"""Connections that are accepted in one turn of the event loop, so that a flood leaves room for others between two
+turns; to send one away takes 0.07 ms of a core. It takes some turns until the first bytes of those let in are read;
+before that they are unauthenticated, and an address may have more of those than these turns bring.
 """
 
 _EXHAUSTED = frozenset({errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM})
@@ -123,11 +121,8 @@ class _Accepting:
         """Nothing is accepted any more."""
 
     def _accept(self) -> None:
-        # As many as are there: one in each turn of the loop would let a flood keep others waiting for seconds.
-        let_in = 0
-        for _ in range(LOOKED_AT_AT_ONCE):
-            if let_in == AT_ONCE:
-                return
+        # More than one: in each turn of the loop one alone would let a flood keep others waiting for seconds.
+        for _ in range(AT_ONCE):
             try:
                 connection, address = self._listener.accept()
             except (BlockingIOError, InterruptedError):
@@ -140,7 +135,7 @@ class _Accepting:
                     return
                 continue
             connection.setblocking(False)
-            let_in += self._door.arrive(Arrival(connection, str(address[0])))
+            self._door.arrive(Arrival(connection, str(address[0])))
 
 
 def _end(connection: socket.socket) -> None:

@@ -289,7 +289,7 @@ ATTACKS: dict[str, tuple[str, str, Attack]] = {
     ),
     "abandoned waits": ("P11", "rest", partial(reopen, f"/v1/{TOWN}/loopClosures?min_seq=1&min_seq_timeout_s=60", 1)),
     "reopened connections": ("P12", "rest", partial(reopen, "/v1/maps", 300)),
-    "5,000 connections a second": ("P12", "rest", partial(reopen, "/v1/maps", 300, a_second=5000)),
+    "connections at 5000 a second": ("P12", "rest", partial(reopen, "/v1/maps", 300, a_second=5000)),
     "cancelled watches": ("P11", "grpc", partial(cancel, "loops")),
     "cancelled health": ("P12", "grpc", partial(cancel, "health")),
     "endless heads": ("P22", "rest", partial(hold, "http", 200, b"GET /livez HTTP/1.1\r\n" + b"X-A: b\r\n" * 1000)),
