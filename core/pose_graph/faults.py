@@ -55,6 +55,11 @@ class OdometryFault:
     loops: int
     undecided: bool = False
 
+    def is_beside(self, other: OdometryFault) -> bool:
+        """Whether both may be one broken step: faults at once of a session that share a submap."""
+        at_once = self.kind.is_at_once and other.kind.is_at_once
+        return at_once and self.session == other.session and self.first <= other.last and other.first <= self.last
+
 
 @dataclass(frozen=True)
 class Mending:

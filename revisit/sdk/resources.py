@@ -584,7 +584,7 @@ class MapVersionSummary(Resource):
     max_change_m: float | None = None
     refused_joins: tuple[RefusedJoin, ...] = ()
     odometry_faults: tuple[OdometryFault, ...] = ()
-    """Faults of odometry that loops show; the poses of this version have them mended."""
+    """Faults of odometry that loops show; the poses of this version have them mended, but for undecided ones."""
     georeferences: tuple[Georeference, ...] = ()
     """The frames that anchors hold on earth."""
 
@@ -644,8 +644,8 @@ class Correction(Resource):
     by one. The correction is then provisional, and as of the last submap of all; the next version replaces it.
     """
     odometry_faults: tuple[OdometryFault, ...] = ()
-    """Faults of the session's odometry by the version. The session drives on: T_map_odom is right behind the last of
-    them.
+    """Faults of the session's odometry by the version. The session drives on: T_map_odom is right behind the last
+    mended one.
     """
 
 

@@ -12,6 +12,7 @@ from revisit.core.geometry import se3
 from revisit.core.geometry.se3 import pose_row
 from revisit.core.merge.evidence import MergeEvidence
 from revisit.service.domain.identity import SessionKey
+from revisit.service.features.graph.join_audit import FAULT_PAIRS
 from revisit.service.features.resources.paging import PageRequest
 from tests.support.fake_merger import FakeMerger
 from tests.support.fleet_in_service import fleet_in, slipped_fleet_in
@@ -57,12 +58,12 @@ class Contrary(FakeMerger):
 
 
 class Drives:
-    """Two drives of which one has slipped, or is taken for one beside it at its end; loops show one place there."""
+    """Drives of which one has slipped, or is taken for one beside it at its end; loops show one place there."""
 
-    def __init__(self, *, slipped: bool) -> None:
+    def __init__(self, *, slipped: bool, sessions: int = 2) -> None:
         self.world = memory_world()
-        made = slipped_fleet_in if slipped else partial(fleet_in, sessions=2, submaps=60, per_pair=90)
-        self.fleet = made(self.world, "town")
+        made = slipped_fleet_in if slipped else partial(fleet_in, submaps=60, per_pair=90)
+        self.fleet = made(self.world, "town", sessions=sessions)
         self.submaps = {
             one.number: (one.session_id, one.ordinal) for one in self.read(lambda uow: uow.submaps.find(TENANT))
         }
@@ -97,7 +98,9 @@ class Drives:
         return {number: self.fleet.fleet.truth[session][at] for number, (session, at) in self.submaps.items()}
 
     def off_m(self, listed) -> float:
-        poses = {s: np.stack([one.T_map_submap for one in listed if one.key.session_id == s]) for s in ("s0", "s1")}
+        poses = {
+            s: np.stack([one.T_map_submap for one in listed if one.key.session_id == s]) for s in self.fleet.fleet.truth
+        }
         return self.fleet.fleet.error_m(poses)
 
     async def optimised(self):
@@ -151,3 +154,23 @@ async def test_an_undecided_fault_is_told_where_surfaces_keep_the_drives_apart()
     drives.world.merger = Contrary()
     summary, codes, _, _ = await drives.optimised()
     assert (summary["frames"], codes) == (2, ["odometry_undecided"])
+
+
+class Stranger(FakeMerger):
+    """Surfaces that speak against joins with a drive of these submaps, and decide on no fault."""
+
+    def __init__(self, stranger: set[int]) -> None:
+        self._stranger = stranger
+
+    def audit(self, first, second, surfaces, scale, most, progress) -> MergeEvidence:
+        """Nothing is read."""
+        kept_apart = most != FAULT_PAIRS and self._stranger.isdisjoint(first) != self._stranger.isdisjoint(second)
+        return MergeEvidence(5_000, 0.02, 0.01, 0.2 if kept_apart else 0.001)
+
+
+async def test_an_undecided_fault_is_told_once_where_surfaces_keep_another_drive_apart():
+    drives = Drives(slipped=True, sessions=3)
+    drives.world.merger = Stranger({number for number, (session, _) in drives.submaps.items() if session == "s2"})
+    summary, codes, _, _ = await drives.optimised()
+    assert (summary["frames"], len(summary["refused_joins"]), codes) == (2, 1, ["odometry_undecided"])
+    assert len(summary["odometry_faults"]) == 1

@@ -74,14 +74,15 @@ def _described(blobs: BlobStore, tenant: TenantId, T_world_submap: np.ndarray) -
 
 
 def slipped_fleet_in(
-    world: World, map_id: str, tenant: TenantId = TENANT, *, with_places: bool = False
+    world: World, map_id: str, tenant: TenantId = TENANT, *, with_places: bool = False, sessions: int = 2
 ) -> FleetInService:
-    """Store two drives with right loops all along, of which `s1` has lost 5 m at its submap 30. See `fleet_in`."""
-    made = fleet(3, 0.0, sessions=2, submaps=60, per_pair=90)
-    first, second = made.graph.trajectories
+    """Store drives with right loops all along, of which `s1` has lost 5 m at its submap 30. See `fleet_in`."""
+    made = fleet(3, 0.0, sessions=sessions, submaps=60, per_pair=90)
+    first, second, *others = made.graph.trajectories
     poses = second.T_odom_submap.copy()
     poses[30:] = poses[29] @ se3.from_yaw(0.0, (-5.0, 0.0, 0.0)) @ se3.inverse(poses[29]) @ poses[30:]
-    slipped = Fleet(PoseGraph.of([first, replace(second, T_odom_submap=poses)], list(made.graph.loops)), made.truth)
+    tracks = [first, replace(second, T_odom_submap=poses), *others]
+    slipped = Fleet(PoseGraph.of(tracks, list(made.graph.loops)), made.truth)
     blobs = world.context.blobs if with_places else None
     world.context.transactions.write(lambda uow: _store(uow, slipped, map_id, tenant, blobs)).result()
     return FleetInService(slipped, map_id)

@@ -106,9 +106,11 @@ class JoinAudit:
             key = frozenset(loops.items())
             if key not in by_loops:
                 by_loops[key] = self._optimiser.by_loops(replace(task.graph, refused=loops), progress)
-            optimised = asked.decided(by_loops[key].held(fixed))
+            found = by_loops[key].held(fixed)
+            optimised = asked.decided(found)
             more = asked.refused(optimised)
-            faults = tuple(dict.fromkeys((*optimised.faults, *undecided)))
+            before = (one for one in undecided if not any(one.is_beside(other) for other in found.faults))
+            faults = (*optimised.faults, *before)
             if not more:
                 return replace(optimised, faults=faults, refused_joins=refused, audited=_audited(task))
             refused += more
