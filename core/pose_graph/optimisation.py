@@ -76,6 +76,7 @@ class OptimisedGraph:
     anchors in the map; degrees_of_freedom, its expectation. faults: those of the odometry that were mended before, and
     undecided ones: these the poses do not have mended, those of `otherwise` do, and the covariances allow for both.
     anchors: the verdicts on the anchors, in the order given; georeferences, of the components that they hold.
+    T_odom_submap (n, 4, 4): the odometry of each session as the poses have it, with faults mended.
     """
 
     T_map_submap: dict[str, Array64]
@@ -89,6 +90,7 @@ class OptimisedGraph:
     anchors: tuple[JudgedAnchor, ...] = ()
     georeferences: tuple[Georeference, ...] = ()
     otherwise: OptimisedGraph | None = None
+    T_odom_submap: dict[str, Array64] = field(default_factory=dict)
 
     @property
     def price(self) -> float:
@@ -309,7 +311,10 @@ def _judged(graph: PoseGraph, robustness: Robustness, progress: Callable[[int, i
             residuals[number] = residual
             states[number] = GraphState.IN_MAP if number in kept else GraphState.SET_ASIDE
     groups = tuple(tuple(one.T_map_odom) for one in components)
-    return OptimisedGraph(poses, groups, tuple(states), residuals, covariances, chi2, degrees_of_freedom)
+    odometry = {one.session: one.T_odom_submap for one in graph.trajectories}
+    return OptimisedGraph(
+        poses, groups, tuple(states), residuals, covariances, chi2, degrees_of_freedom, T_odom_submap=odometry
+    )
 
 
 @dataclass(frozen=True)

@@ -137,6 +137,7 @@ class NamedGraph:
             ),
             on_earth=tuple(FrameOnEarth(numbers[one.session], one) for one in optimised.georeferences),
             otherwise=None if optimised.otherwise is None else self.answer(optimised.otherwise),
+            T_odom_submap={numbers[name]: its for name, its in optimised.T_odom_submap.items()},
         )
 
     def _track(self, track: SessionTrack, optimised: OptimisedGraph) -> OptimisedTrack:

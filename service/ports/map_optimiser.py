@@ -156,6 +156,7 @@ class OptimisedMap:
 
     audited: how many submaps each session, by number, had when its surfaces were last compared with others. anchors:
     the verdicts on them; on_earth, the frames that they hold. otherwise: the solution with undecided faults mended.
+    T_odom_submap (n, 4, 4): the odometry of each session, by number, as the poses have it, with faults mended.
     """
 
     tracks: tuple[OptimisedTrack, ...]
@@ -168,6 +169,7 @@ class OptimisedMap:
     anchors: tuple[JudgedTrackAnchor, ...] = ()
     on_earth: tuple[FrameOnEarth, ...] = ()
     otherwise: OptimisedMap | None = None
+    T_odom_submap: Mapping[int, NDArray[np.float64]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -77,15 +79,37 @@ def slipped_fleet_in(
     world: World, map_id: str, tenant: TenantId = TENANT, *, with_places: bool = False, sessions: int = 2
 ) -> FleetInService:
     """Store drives with right loops all along, of which `s1` has lost 5 m at its submap 30. See `fleet_in`."""
+
+    def slipped(poses: np.ndarray) -> np.ndarray:
+        back = se3.from_yaw(0.0, (-5.0, 0.0, 0.0))
+        return np.concatenate([poses[:30], poses[29] @ back @ se3.inverse(poses[29]) @ poses[30:]])
+
+    return _faulty_fleet_in(world, map_id, slipped, tenant, with_places=with_places, sessions=sessions)
+
+
+def lengthened_fleet_in(world: World, map_id: str, factor: float) -> FleetInService:
+    """Store two drives with right loops all along, of which `s1` states so many times its lengths. See `fleet_in`."""
+
+    def lengthened(poses: np.ndarray) -> np.ndarray:
+        motions = np.linalg.inv(poses[:-1]) @ poses[1:]
+        motions[:, :3, 3] *= factor
+        return np.stack(list(itertools.accumulate(motions, np.matmul, initial=poses[0])))
+
+    return _faulty_fleet_in(world, map_id, lengthened)
+
+
+def _faulty_fleet_in(
+    world: World, map_id: str, wrong: Callable[[np.ndarray], np.ndarray], tenant: TenantId = TENANT, *,
+    with_places: bool = False, sessions: int = 2,
+) -> FleetInService:  # fmt: skip
+    """Store drives of which `s1` has another odometry, as `wrong` makes it of T_odom_submap (n, 4, 4)."""
     made = fleet(3, 0.0, sessions=sessions, submaps=60, per_pair=90)
     first, second, *others = made.graph.trajectories
-    poses = second.T_odom_submap.copy()
-    poses[30:] = poses[29] @ se3.from_yaw(0.0, (-5.0, 0.0, 0.0)) @ se3.inverse(poses[29]) @ poses[30:]
-    tracks = [first, replace(second, T_odom_submap=poses), *others]
-    slipped = Fleet(PoseGraph.of(tracks, list(made.graph.loops)), made.truth)
+    tracks = [first, replace(second, T_odom_submap=wrong(second.T_odom_submap)), *others]
+    faulty = Fleet(PoseGraph.of(tracks, list(made.graph.loops)), made.truth)
     blobs = world.context.blobs if with_places else None
-    world.context.transactions.write(lambda uow: _store(uow, slipped, map_id, tenant, blobs)).result()
-    return FleetInService(slipped, map_id)
+    world.context.transactions.write(lambda uow: _store(uow, faulty, map_id, tenant, blobs)).result()
+    return FleetInService(faulty, map_id)
 
 
 def fleet_in(

@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from revisit.core.geometry import se3
 from revisit.core.geometry.se3 import Matrix4
@@ -22,6 +23,9 @@ from revisit.service.ports.map_optimiser import OptimisedMap, SessionTrack
 
 Placed = Mapping[int, Matrix4]
 """T_map_submap (4, 4) of submaps by number."""
+
+Odometry = Mapping[int, NDArray[np.float64]]
+"""T_odom_submap (n, 4, 4) of sessions by number."""
 
 Comparison = Callable[[Placed, Placed], MergeEvidence | None]
 """The surfaces of two groups of submaps, None where they cannot be read."""
@@ -47,7 +51,8 @@ def decided(task: MapTask, optimised: OptimisedMap, compared: Comparison, limits
     if other is None:
         return optimised
     poses, surfaces = _poses(task, other), _Surfaces(compared, limits)
-    faults = [_sides(task, other, poses, fault) for fault in optimised.faults if fault.undecided]
+    odometry = optimised.T_odom_submap, other.T_odom_submap
+    faults = [_sides(task, other, poses, odometry, fault) for fault in optimised.faults if fault.undecided]
     sides = [side for fault in faults for stretches in fault for side in stretches]
     if all(surfaces.agree(side, side.mended) for side in sides):
         stretches = [some for fault in faults for some in fault]
@@ -76,7 +81,8 @@ def _without_doubt(optimised: OptimisedMap, other: OptimisedMap) -> OptimisedMap
 @dataclass(frozen=True)
 class _Side:
     """T_map_submap (4, 4) of submaps of a session beside a fault, the nearest one first: where it is mended, and where
-    odometry carries them across it, as if the loops of this side were wrong. Beside, those that loops join them with.
+    odometry, which is without other faults, carries them across it, as if the loops of this side were wrong. Beside,
+    those that loops join them with.
     """
 
     mended: Placed
@@ -85,23 +91,29 @@ class _Side:
 
 
 def _sides(
-    task: MapTask, other: OptimisedMap, poses: dict[int, Matrix4], fault: OdometryFault
-) -> tuple[list[_Side], list[_Side]]:
-    """Short and long stretches before a fault, and such behind it; `poses` of all submaps where it is mended."""
+    task: MapTask, other: OptimisedMap, poses: dict[int, Matrix4], odometry: tuple[Odometry, Odometry],
+    fault: OdometryFault,
+) -> tuple[list[_Side], list[_Side]]:  # fmt: skip
+    """Short and long stretches before a fault, and such behind it; `poses` of all submaps where it is mended.
+
+    `odometry`: without the mending of undecided faults, and with it.
+    """
     track = next(one for one in task.graph.tracks if str(one.session_number) == fault.session)
+    stated, mended = (one[track.session_number] for one in odometry)
     until, start = fault.first + 1, fault.last
     own = frozenset(track.submaps[max(0, until - FAR) : start + FAR])
     joined = _joined(task, other, own)
     beside = {n: poses[n] for one in task.graph.tracks for n in _passed(one, joined) if n not in own}
 
-    def side(ordinals: Sequence[int], across: int) -> _Side:
-        T_map_odom = poses[track.submaps[across]] @ se3.inverse(track.T_odom_submap[across])
-        carried = {track.submaps[k]: np.asarray(T_map_odom @ track.T_odom_submap[k]) for k in ordinals}
+    def side(ordinals: Sequence[int], across: int, near: int) -> _Side:
+        T_map_near = poses[track.submaps[across]] @ se3.inverse(stated[across]) @ stated[near]
+        T_map_odom = T_map_near @ se3.inverse(mended[near])
+        carried = {track.submaps[k]: np.asarray(T_map_odom @ mended[k]) for k in ordinals}
         return _Side({number: poses[number] for number in carried}, carried, beside)
 
     last, count = max(0, until - COVERED) - 1, len(track.submaps)
-    before = [side(range(last, max(0, until - reach) - 1, -1), start) for reach in (NEAR, FAR)]
-    behind = [side(range(start + COVERED, min(start + reach, count)), fault.first) for reach in (NEAR, FAR)]
+    before = [side(range(last, max(0, until - reach) - 1, -1), start, fault.first) for reach in (NEAR, FAR)]
+    behind = [side(range(start + COVERED, min(start + reach, count)), fault.first, start) for reach in (NEAR, FAR)]
     return before, behind
 
 
