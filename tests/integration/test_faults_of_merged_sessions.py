@@ -4,10 +4,14 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import pytest
+
 from revisit.core.geometry import se3
 from revisit.core.geometry.se3 import pose_matrix, pose_row, position_row
+from revisit.core.pose_graph.faults import FaultKind, OdometryFault
 from revisit.service.domain.identity import SessionKey
 from revisit.service.features.merging.calls import MergeMap
+from tests.support.fake_merger import FakeMerger
 from tests.support.fleet_in_service import fleet_in_two
 from tests.support.service_world import TENANT, memory_world
 
@@ -31,3 +35,27 @@ async def test_a_session_that_came_by_a_merge_has_the_findings_of_its_odometry()
     found = [await world.use_cases.sessions.get(TENANT, SessionKey("town", one)) for one in ("s0", "s1", "s3")]
     codes = [[one.code for one in session.findings if one.code.startswith("odometry_")] for session in found]
     assert codes == [[], [], ["odometry_slip"]]
+
+
+class Finding(FakeMerger):
+    """A merger that finds a fault of a merged session, which is undecided or not."""
+
+    def __init__(self, undecided: bool) -> None:
+        self._undecided = undecided
+
+    def align(self, graph, *asked):
+        """With the fault."""
+        aligned, track = super().align(graph, *asked), graph.tracks[-1]
+        fault = OdometryFault(str(track.session_number), FaultKind.SLIP, 5, 6, 5.0, 0.1, 9, self._undecided)
+        return replace(aligned, optimised=replace(aligned.optimised, faults=(fault,)))
+
+
+@pytest.mark.parametrize("undecided", [True, False])
+async def test_a_version_follows_a_merge_that_has_not_asked_surfaces_of_a_fault(undecided):
+    world = memory_world(optimise_after_loops=100)
+    fleet_in_two(world, ("town", "other"), sessions=2, submaps=20, per_pair=0)
+    world.merger = Finding(undecided)
+    await world.use_cases.map_merges.merge(TENANT, MergeMap("town", "other"))
+    world.work_off()
+    jobs = world.context.transactions.read(lambda uow: uow.jobs.find(TENANT)).result()
+    assert [one.kind for one in jobs if one.kind == "OPTIMISE_MAP"] == ["OPTIMISE_MAP"] * undecided

@@ -72,9 +72,14 @@ class MergeCommit:
         forget_versions(uow, current.tenant, current.map_id, current.map_version + 1 - self.policy.map_versions_kept)
         uow.queue.complete(self.lease, report)
         find_changes_soon(uow, current.tenant, current.map_id, self.policy, self.now_ns)
-        if self._copied_anchors(uow, current, copies):
+        if self._copied_anchors(uow, current, copies) or self._asks_surfaces:
             optimise_soon(uow, current.tenant, current.map_id, self.policy, self.now_ns, decided=True)
         return True
+
+    @property
+    def _asks_surfaces(self) -> bool:
+        """Whether the version of the merge has undecided faults of odometry, on which the next one asks surfaces."""
+        return any(one.undecided for one in self.proposal.aligned.optimised.faults)
 
     def _copied_anchors(self, uow: UnitOfWork, current: MapRecord, copies: _Copies) -> bool:
         """Whether the version of the merge knows nothing yet of anchors that came with the copies."""
