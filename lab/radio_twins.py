@@ -2,7 +2,7 @@
 
 `python -m lab.radio_twins --seed S --rounds N`: one drive maps both twins, another drives one of them and asks. Loops
 as the service accepts them without radio, with it, with a fifth of the identifiers false, with all access points
-replaced between the drives, and with fingerprints of another time of the drive.
+replaced between the drives, with fingerprints of another time of the drive, and with those of the other twin.
 """
 
 from __future__ import annotations
@@ -181,6 +181,7 @@ def run_round(world: World, kind: str, seed: int, config: PipelineConfig) -> dic
     method = RememberedPairs(RevisitMethod(config))
     old, new = access_points(np.array(offset), seed), access_points(np.array(offset), seed + 50_000)
     told = _heard(places, (old, old), seed)
+    lie = _of_the_other_twin(told, np.array(offset), old, seed)
     variants = {
         "none": places,
         "radio": told,
@@ -188,7 +189,8 @@ def run_round(world: World, kind: str, seed: int, config: PipelineConfig) -> dic
         "50 % false": _spoiled(told, 0.5, seed),
         "replaced": _heard(places, (old, new), seed),
         "3 submaps late": _late(told, 3),
-        "of the other twin": _of_the_other_twin(told, np.array(offset), old, seed),
+        "of the other twin": lie,
+        "of it from the hall on": replace(lie, of_queries=[*told.of_queries[:IN_HALL], *lie.of_queries[IN_HALL:]]),
     }
     return {name: _counts(one, method, seed) for name, one in variants.items()}
 

@@ -87,6 +87,7 @@ class _Gateway:
         http, http_port = self._http_server(use_cases)
         rpc, grpc_port = self._grpc_server(use_cases)
         await rpc.start()
+        use_cases.system.reached_at(self._settings.grpc_address or f":{grpc_port}")
         serving = asyncio.create_task(http.serve(), name="http")
         await supervisor.take_over()
         supervisor.start()
@@ -97,7 +98,6 @@ class _Gateway:
         # Objects made during the start live on. Searching them for garbage would hold up requests for 70 to 90 ms.
         gc.freeze()
         self._watch_load(context)
-        use_cases.system.reached_at(self._settings.grpc_address or f":{grpc_port}")
         self._announce(http_port, grpc_port)
         tell_supervisor(READY)
         await self._warn_of_access(use_cases)

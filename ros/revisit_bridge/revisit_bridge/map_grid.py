@@ -172,13 +172,13 @@ class MapGrids:
         return grid_of(np.concatenate(clouds), GridOptions(resolution_m=self.resolution_m))
 
     def _of_now(self, grid: OccupancyGrid, newest: OccupancyGrid, version: int, frame: str) -> OccupancyGrid:
-        """A grid without what is gone; as it is where the service does not tell that."""
+        """A grid without what is gone; as it is where the service does not tell that, or its map is too large."""
         try:
             now, ever = (self.source.surface(version, frame, ever=ever) for ever in (False, True))
+            return without_gone(grid, newest, ever.points, now.points, now.voxel_m)
         except (ApiError, RevisitError) as error:
             log.warning("the grid of version %d keeps what may be gone: %s", version, error.message)
             return grid
-        return without_gone(grid, newest, ever.points, now.points, now.voxel_m)
 
     def _cloud(self, submap: str) -> NDArray[np.float64]:
         if submap not in self._points:

@@ -52,7 +52,7 @@ class Parameters:
     grid_ever: bool = _parameter(
         False,
         "keep in the published map what a later drive looked through; else workers make the tiles of each version of a "
-        "map of several sessions twice",
+        "map of several sessions twice, and each robot downloads both",
     )
     map_folder: str = _parameter("", "folder that `save_map` writes to; empty: ~/.revisit/maps")
     publish_tf: bool = _parameter(True, "publish `map_frame` -> `odom_frame` once the service has placed the session")

@@ -106,6 +106,14 @@ def test_a_grid_keeps_what_the_service_does_not_judge() -> None:
     assert obstacles(MapGrids(yard, 0.1)) == [0.55, 2.55], "a drive says nothing against its own points"
 
 
+def test_a_map_too_large_for_its_surface_has_a_grid_all_the_same(monkeypatch) -> None:
+    yard = Yard()
+    yard.now, yard.placed = 1, [at(f"{OWN}/submaps/a", 0.0), at(f"{OTHER}/submaps/x", 2.0)]
+    far = MapSurface(np.array([(0.0, 0.0, 0.0), (4_000.0, 4_000.0, 0.0)]), 0.4)
+    monkeypatch.setattr(yard, "surface", lambda *_, **__: far)
+    assert obstacles(MapGrids(yard, 0.1)) == [0.55, 2.55]
+
+
 def test_the_message_has_its_rows_from_the_bottom_and_says_where_it_lies() -> None:
     yard = Yard()
     yard.now, grids = 1, MapGrids(yard, 0.1)
