@@ -112,9 +112,10 @@ def broken_steps(
     certain = possible & np.array([min(one.places) >= LEAST_PLACES for one in events], dtype=bool)
     sizes = np.array([one.size for one in events])
     outweighs, stands = (SMALL_SHARE * sizes > sizes[~some].max(initial=0.0) for some in (possible, certain))
+    is_sure, is_large = certain & stands, sizes >= SMALL_SHARE * sizes.max(initial=0.0)
     return [
         one.mending if sure else one.mending.undecided()
-        for one, chosen, sure in zip(events, possible & outweighs, certain & stands, strict=True)
+        for one, chosen, sure in zip(events, possible & outweighs & (is_sure | is_large), is_sure, strict=True)
         if chosen
     ]
 

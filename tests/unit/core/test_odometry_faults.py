@@ -14,7 +14,7 @@ from revisit.core.pose_graph.broken_steps import is_bent
 from revisit.core.pose_graph.faults import FaultKind
 from revisit.core.pose_graph.graph import GraphState, LoopEdge, Node, PoseGraph, Trajectory
 from revisit.core.pose_graph.optimisation import OptimisedGraph, optimise
-from tests.support.made_up_fleet import LOOP_COVARIANCE
+from tests.support.made_up_fleet import LOOP_COVARIANCE, fleet
 
 STEP_M = 5.0
 SUBMAPS = 80
@@ -263,3 +263,23 @@ def test_sessions_of_one_submap_each_are_optimised_and_nothing_is_bent():
     graph = PoseGraph(tuple(alone), ())
     assert not is_bent(graph, (), {one.session: one.T_odom_submap for one in alone})
     assert len(optimise(graph).components) == 2
+
+
+@pytest.mark.parametrize("seed", [4, 19])
+def test_a_place_taken_for_another_one_makes_up_no_small_faults_of_sound_drives(seed: int) -> None:
+    """The last 15 submaps of a drive lie 9 m aside by their loops; all odometry is as good as it states."""
+    made, aside = fleet(seed, 0.0, sessions=3, submaps=100, per_pair=40), se3.from_yaw(0.0, (0.0, 9.0, 0.0))
+
+    def misplaced(loop: LoopEdge) -> LoopEdge:
+        match, query = (
+            aside @ made.truth[one.session][one.ordinal]
+            if one.session == "s1"
+            else made.truth[one.session][one.ordinal]
+            for one in (loop.match, loop.query)
+        )
+        is_there = any(one.session == "s1" and one.ordinal >= 85 for one in (loop.match, loop.query))
+        return replace(loop, T_match_query=se3.inverse(match) @ query) if is_there else loop
+
+    answer = optimise(replace(made.graph, loops=tuple(misplaced(one) for one in made.graph.loops)))
+    (fault,) = answer.faults
+    assert (fault.session, fault.kind, fault.undecided) == ("s1", FaultKind.SLIP, True)
