@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from revisit.core.geometry import se3
+from revisit.core.pose_graph import optimisation
 from revisit.core.pose_graph.broken_steps import is_bent
 from revisit.core.pose_graph.faults import FaultKind
 from revisit.core.pose_graph.graph import GraphState, LoopEdge, Node, PoseGraph, Trajectory
@@ -211,6 +212,15 @@ def test_a_fault_that_loops_of_one_place_show_is_undecided_and_the_poses_are_as_
     mended = answer.otherwise
     assert set(mended.loops) == {GraphState.IN_MAP} and mended.faults == answer.faults
     assert apart_m(mended) < 0.3
+
+
+def test_an_undecided_fault_of_a_large_graph_is_told_without_a_second_answer(monkeypatch):
+    monkeypatch.setattr(optimisation, "MOST_SOLVED_TWICE", 10)
+    _, _, wrong = FAULTS["a slip of 5 m"]
+    answer = optimise(short_drive(wrong))
+    (fault,) = answer.faults
+    assert fault.undecided and answer.otherwise is None
+    assert len(optimise(short_drive()).faults) == 0
 
 
 def test_a_short_drive_with_good_odometry_has_nothing_undecided():
