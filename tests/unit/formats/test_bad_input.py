@@ -58,18 +58,23 @@ def test_a_bad_file_is_refused_for_the_reason_of_its_row(name, media_type, encod
     require_reason(reasons, data_of(name), media_type, content_encoding=encoding)
 
 
-def test_counts_that_the_body_cannot_hold_cost_no_memory():
-    # The parsers are warm before memory is measured: a first import is not an allocation for the body.
-    decode_cloud(pcd_bytes(compressed_body(records()), "binary_compressed", 120), PCD)
-    files = {name: body() for name, body in counts().items()}
+def _most_traced_bytes(files: dict[str, bytes]) -> int:
     tracemalloc.start()
     try:
         for name, data in files.items():
             require_reason("MALFORMED_BODY", data, MEDIA_TYPES[name.rpartition(".")[2]])
-        if tracemalloc.get_traced_memory()[1] >= 2**20:
-            pytest.fail("a count alone took memory")
+        return tracemalloc.get_traced_memory()[1]
     finally:
         tracemalloc.stop()
+
+
+def test_counts_that_the_body_cannot_hold_cost_no_memory():
+    # The parsers are warm before memory is measured: a first import is not an allocation for the body.
+    decode_cloud(pcd_bytes(compressed_body(records()), "binary_compressed", 120), PCD)
+    files = {name: body() for name, body in counts().items()}
+    # Threads that other tests have left allocate, too: a body would each time.
+    if min(_most_traced_bytes(files) for _ in range(3)) >= 2**20:
+        pytest.fail("a count alone took memory")
     assert len(files) >= 7 * (len(COUNTS) + 3)
 
 
