@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import threading
 from collections import OrderedDict
 
 import numpy as np
@@ -18,7 +19,7 @@ _LEVEL = 1
 class KnownPoints:
     """Points by their stream, those that were used last: what is unpacked is what was read, to a bit.
 
-    Points without features alone: those of learned maps are read each time.
+    Points without features alone: those of learned maps are read each time. Any thread may ask.
     """
 
     def __init__(self, most_bytes: int) -> None:
@@ -26,6 +27,7 @@ class KnownPoints:
         self._most = most_bytes
         self._held = 0
         self._packed: OrderedDict[bytes, bytes] = OrderedDict()
+        self._changing = threading.Lock()
 
     @property
     def held_bytes(self) -> int:
@@ -35,26 +37,33 @@ class KnownPoints:
     def read(self, form: Form, stream: bytes) -> tuple[PlaneCodes, Codes]:
         """As `read_points`. Raises DataLoss."""
         key = _key(form, stream)
-        packed = self._packed.get(key)
+        packed = self._known(key)
         if packed is None:
             codes, features = read_points(form, stream)
             self._keep(key, form, codes)
             return codes, features
-        self._packed.move_to_end(key)
         return _unpacked(form, packed), np.zeros((form.count, 0), np.int32)
 
     def keep(self, form: Form, stream: bytes, codes: PlaneCodes) -> None:
         """Keep the codes that reading the stream will give."""
         self._keep(_key(form, stream), form, codes)
 
+    def _known(self, key: bytes) -> bytes | None:
+        with self._changing:
+            packed = self._packed.get(key)
+            if packed is not None:
+                self._packed.move_to_end(key)
+            return packed
+
     def _keep(self, key: bytes, form: Form, codes: PlaneCodes) -> None:
-        packed = None if form.features or key in self._packed else _packed(form, codes)
+        packed = None if form.features or self._known(key) is not None else _packed(form, codes)
         if packed is None:
             return
-        self._packed[key] = packed
-        self._held += len(packed)
-        while self._held > self._most:
-            self._held -= len(self._packed.popitem(last=False)[1])
+        with self._changing:
+            self._held += len(packed) - len(self._packed.pop(key, b""))
+            self._packed[key] = packed
+            while self._held > self._most:
+                self._held -= len(self._packed.popitem(last=False)[1])
 
 
 def _key(form: Form, stream: bytes) -> bytes:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
+import sys
 import zlib
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
@@ -96,6 +98,24 @@ def test_known_points_are_bounded_in_bytes_and_none_are_kept_that_do_not_fit_the
         for _ in range(2):
             assert len(known.read(form, stream)[0].voxels) == form.count
         assert known.held_bytes == before
+
+
+def test_known_points_may_be_asked_by_any_thread():
+    rng = np.random.default_rng(3)
+    some = [random_codes(rng, 60, 9) for _ in range(4)]
+    forms = [write_points(codes, np.zeros((len(codes.voxels), 0), np.int32), 15, 48) for codes in some]
+    known = KnownPoints(most_bytes=2**20)
+    known.read(*forms[0])
+    known = KnownPoints(most_bytes=2 * known.held_bytes + 20)
+    before_s = sys.getswitchinterval()
+    sys.setswitchinterval(1e-6)
+    try:
+        with ThreadPoolExecutor(4) as pool:
+            read = list(pool.map(lambda number: len(known.read(*forms[number % 4])[0].voxels), range(600)))
+    finally:
+        sys.setswitchinterval(before_s)
+    assert read == [forms[number % 4][0].count for number in range(600)]
+    assert known.held_bytes == sum(map(len, known._packed.values()))
 
 
 def test_normals_beside_others_are_rounded_to_two_steps_and_planes_keep_their_foot():
