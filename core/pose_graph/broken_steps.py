@@ -85,21 +85,11 @@ class Steps(Enum):
     ALL = auto()
 
 
-def broken_steps(
-    graph: PoseGraph,
-    kept: Collection[int],
-    left: Collection[int],
-    T_map_submap: dict[str, Array64],
-    steps: Steps,
-) -> list[Mending]:
-    """The broken steps of sessions that share a frame; poses (n, 4, 4) of each to begin with. Undecided are those that
-    loops of one place show on a side: of a short drive, or of a place that is taken for another one.
-
-    Of loops within these sessions, by number, `kept` are those in the map, and `left` others that may be right: with
-    loops beside them that agree.
+def broken_steps(search: StepSearch, steps: Steps) -> list[Mending]:
+    """The broken ones among some steps of sessions that share a frame. Undecided are those that loops of one place
+    show on a side: of a short drive, or of a place that is taken for another one.
     """
-    asked = _Asked.of(graph, kept, left, T_map_submap, steps)
-    held = asked.held() if asked.most_explained >= EXPLAINED else None
+    held = search.held(steps) if search.most_explained >= EXPLAINED else None
     if held is None or not held.broken.any() or held.explained < EXPLAINED:
         return []
     events = [one for track in held.tracks for one in _events(held, track)]
@@ -149,31 +139,28 @@ def is_bent(graph: PoseGraph, kept: Collection[int], T_map_submap: dict[str, Arr
 
 
 @dataclass(frozen=True)
-class _Asked:
-    """A search: sessions with the poses (n, 4, 4) to begin with, their steps and which of them may be broken, and loops
-    with their votes (l,), of which some cannot hold whatever is broken.
+class StepSearch:
+    """A search for broken steps: sessions with the poses (n, 4, 4) to begin with, their steps, and loops with their
+    votes (l,), of which some cannot hold whatever is broken.
     """
 
     tracks: tuple[Trajectory, ...]
     start: Array64
     steps: Edges
-    free: NDArray[np.bool_]
     loops: tuple[LoopEdge, ...]
     edges: Edges
     votes: Array64
     may_hold: NDArray[np.bool_]
-    asked: Steps
 
     @classmethod
     def of(
-        cls,
-        graph: PoseGraph,
-        kept: Collection[int],
-        left: Collection[int],
-        T_map_submap: dict[str, Array64],
-        steps_asked: Steps,
-    ) -> _Asked:
-        """By the steps of the sessions and the loops of these numbers."""
+        cls, graph: PoseGraph, kept: Collection[int], left: Collection[int], T_map_submap: dict[str, Array64]
+    ) -> StepSearch:
+        """By sessions that share a frame, with poses (n, 4, 4) of each.
+
+        Of loops within these sessions, by number, `kept` are those in the map, and `left` others that may be right:
+        with loops beside them that agree.
+        """
         tracks = tuple(one for one in graph.trajectories if one.session in T_map_submap)
         nodes = [Node(one.session, ordinal) for one in tracks for ordinal in range(len(one))]
         rows = {node: row for row, node in enumerate(nodes)}
@@ -182,25 +169,25 @@ class _Asked:
         steps, edges = Edges.of_steps(tracks, rows), Edges.of_loops(loops, rows)
         start, in_map = np.concatenate([T_map_submap[one.session] for one in tracks]), np.isin(numbers, list(kept))
         map_so_far = Kept(steps, edges.chosen(in_map), start)
-        free = np.concatenate([_odd(one) | (steps_asked is Steps.ALL) for one in tracks])
         may_hold = in_map | map_so_far.may_hold(edges)
-        return cls(tracks, start, steps, free, loops, edges, votes(joined_stretches(loops)), may_hold, steps_asked)
+        return cls(tracks, start, steps, loops, edges, votes(joined_stretches(loops)), may_hold)
 
     @property
     def most_explained(self) -> float:
         """The share of all places, at most, that can hold."""
         return float(np.average(self.may_hold, weights=self.votes))
 
-    def held(self) -> _Held:
-        """What holds by graduated non-convexity over the free steps and the loops that may hold.
+    def held(self, asked: Steps) -> _Held:
+        """What holds by graduated non-convexity over the steps asked about and the loops that may hold.
 
-        Unheard, free steps say nothing while it goes on.
+        Unheard, these steps say nothing while it goes on.
         """
+        free = np.concatenate([_odd(one) | (asked is Steps.ALL) for one in self.tracks])
         chosen = np.flatnonzero(self.may_hold)
         edges = self.steps.joined(self.edges.chosen(chosen))
-        known = np.concatenate([~self.free, np.zeros(len(chosen), bool)])
-        if self.asked is Steps.ODD_UNHEARD:
-            heard = edges.weighted(np.concatenate([np.where(self.free, _LOOSE, 1.0), np.ones(len(chosen))]))
+        known = np.concatenate([~free, np.zeros(len(chosen), bool)])
+        if asked is Steps.ODD_UNHEARD:
+            heard = edges.weighted(np.concatenate([np.where(free, _LOOSE, 1.0), np.ones(len(chosen))]))
             poses = graduated(heard, len(self.steps), 0, self.start)
         else:
             poses = graduated(edges.chosen(np.argsort(~known, kind="stable")), int(known.sum()), 0, self.start)

@@ -6,14 +6,14 @@ import itertools
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
-from functools import partial
+from functools import cached_property, partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from revisit.core.geometry import se3
 from revisit.core.pose_graph.anchors import Anchor, Georeference, JudgedAnchor, require_anchors
-from revisit.core.pose_graph.broken_steps import Steps, broken_steps, is_bent, shows_a_fault
+from revisit.core.pose_graph.broken_steps import Steps, StepSearch, broken_steps, is_bent, shows_a_fault
 from revisit.core.pose_graph.consistency import ConsistentSet, consistent_sets
 from revisit.core.pose_graph.faults import Mending, OdometryFault, doubt
 from revisit.core.pose_graph.graph import GraphState, Node, PoseGraph, Trajectory
@@ -47,7 +47,6 @@ LEAST_PLACES, FIT_SLACK = 10, 5.0
 
 MAX_VOUCHED = 100
 """Loops, at most, that are held against the covariances of the poses."""
-
 
 MOST_SOLVED_TWICE = 4000
 """Submaps of a graph that is solved again for undecided faults: of 10,000 one answer takes 40 s."""
@@ -187,11 +186,12 @@ class _Otherwise:
 
 def _undecided(answer: OptimisedGraph, other: OptimisedGraph, mendings: Sequence[Mending]) -> OptimisedGraph:
     """The answer of a graph where faults are undecided, whose poses may as well be those of the `other` one."""
-    faults, frame = _in_order([*answer.faults, *(one.fault for one in mendings)]), _frames(other)
+    faults = _in_order([*answer.faults, *(one.fault for one in mendings)])
+    frame, frame_otherwise = _frames(answer), _frames(other)
     covariances = {
         session: its + doubt(answer.T_map_submap[session], other.T_map_submap[session])
         for session, its in answer.covariances.items()
-        if frame[session] == _frames(answer)[session]
+        if frame[session] == frame_otherwise[session]
     }
     otherwise = replace(other, faults=faults)
     return replace(answer, covariances=answer.covariances | covariances, faults=faults, otherwise=otherwise)
@@ -235,8 +235,36 @@ def _held(answer: OptimisedGraph, solution: Solution) -> OptimisedGraph:
     )
 
 
-Seeking = Callable[[PoseGraph, OptimisedGraph], list[Mending]]
-"""A way to seek faults of odometry in a graph and its answer."""
+@dataclass(frozen=True)
+class _Fit:
+    """A graph and its answer, in which faults are sought in several ways."""
+
+    graph: PoseGraph
+    answer: OptimisedGraph
+
+    @cached_property
+    def supported(self) -> frozenset[int]:
+        """The loops that others support, by number."""
+        return supported_loops(self.graph)
+
+    @cached_property
+    def searches(self) -> list[StepSearch]:
+        """Those for broken steps, of components where supported loops are set aside, or a step is bent."""
+        graph, states, found = self.graph, self.answer.loops, list[StepSearch]()
+        for group in self.answer.components:
+            poses = {session: self.answer.T_map_submap[session] for session in group}
+            inside = [
+                n for n, one in enumerate(graph.loops) if one.match.session in poses and one.query.session in poses
+            ]
+            kept = {n for n in inside if states[n] is GraphState.IN_MAP}
+            left = {n for n in self.supported.intersection(inside) - kept if shows_a_fault(graph.loops[n], poses)}
+            if left or is_bent(graph, kept, poses):
+                found.append(StepSearch.of(graph, kept, left, poses))
+        return found
+
+
+Seeking = Callable[[_Fit], list[Mending]]
+"""A way to seek faults of odometry."""
 
 
 def _without_faults(
@@ -245,22 +273,21 @@ def _without_faults(
     """Graph and answer with faults of odometry mended, as long as that explains more of the loops; or as they are. And
     undecided ones, by one way to seek them, and another.
     """
-    faults: list[OdometryFault] = []
+    fit, faults = _Fit(graph, answer), list[OdometryFault]()
     doubtful: list[list[Mending]] = []
     broken: list[Seeking] = [partial(_broken, steps=steps) for steps in Steps]
     ways: list[tuple[Seeking, int]] = [(_steady, 1), *((one, MAX_MENDINGS) for one in broken)]
     for sought, rounds in ways:
         for _ in range(rounds):
-            found = sought(graph, answer)
+            found = sought(fit)
             more = [one for one in found if not one.fault.undecided]
-            mended = _mended(graph, more)
-            other = _judged(mended, Robustness.COMMIT, progress) if more else answer
-            if not _explains_more(other, answer, len(more)):
+            mended = _mended(fit.graph, more)
+            other = _judged(mended, Robustness.COMMIT, progress) if more else fit.answer
+            if not _explains_more(other, fit.answer, len(more)):
                 doubtful += [unsure] if (unsure := [one for one in found if one.fault.undecided]) else []
                 break
-            graph, answer, faults = mended, other, faults + [one.fault for one in more]
-            doubtful = []
-    return graph, replace(answer, faults=_in_order(faults)), doubtful
+            fit, faults, doubtful = _Fit(mended, other), faults + [one.fault for one in more], []
+    return fit.graph, replace(fit.answer, faults=_in_order(faults)), doubtful
 
 
 def _mended(graph: PoseGraph, mendings: Sequence[Mending]) -> PoseGraph:
@@ -271,28 +298,18 @@ def _mended(graph: PoseGraph, mendings: Sequence[Mending]) -> PoseGraph:
     return replace(graph, trajectories=tuple(tracks[one.session] for one in graph.trajectories))
 
 
-def _steady(graph: PoseGraph, answer: OptimisedGraph) -> list[Mending]:
+def _steady(fit: _Fit) -> list[Mending]:
     """Steady faults of sessions that share a frame."""
     found: list[Mending] = []
-    supported = supported_loops(graph)
-    for group in answer.components:
+    for group in fit.answer.components:
         if len(group) > 1:
-            found += steady_faults(graph, supported, group)
+            found += steady_faults(fit.graph, fit.supported, group)
     return found
 
 
-def _broken(graph: PoseGraph, answer: OptimisedGraph, steps: Steps) -> list[Mending]:
-    """The broken steps of all components, sought where loops are set aside that others support, or a step is bent."""
-    supported = supported_loops(graph)
-    found: list[Mending] = []
-    for group in answer.components:
-        poses = {session: answer.T_map_submap[session] for session in group}
-        inside = [n for n, one in enumerate(graph.loops) if one.match.session in poses and one.query.session in poses]
-        kept = {n for n in inside if answer.loops[n] is GraphState.IN_MAP}
-        left = {n for n in supported.intersection(inside) - kept if shows_a_fault(graph.loops[n], poses)}
-        if left or is_bent(graph, kept, poses):
-            found += broken_steps(graph, kept, left, poses, steps)
-    return found
+def _broken(fit: _Fit, steps: Steps) -> list[Mending]:
+    """The broken ones of some steps of all components."""
+    return [one for search in fit.searches for one in broken_steps(search, steps)]
 
 
 def _explains_more(other: OptimisedGraph, answer: OptimisedGraph, faults: int) -> bool:

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from revisit.cli.options import HTTP, Http, Json, MapName, Yes
-from revisit.cli.output import confirm, emit_json, emit_table, refuse, say
+from revisit.cli.output import confirm, counted, emit_json, emit_table, refuse, say
+from revisit.cli.submap_names import session_name
 from revisit.cli.waiting import waited
 
 if TYPE_CHECKING:
@@ -34,11 +35,11 @@ def add(
 
     anchors = anchors_in(file)
     with Client(http) as client:
-        posted = client.sessions.post_anchors(_session(map_id, session_id), anchors)
+        posted = client.sessions.post_anchors(session_name(map_id, session_id), anchors)
     if json:
         emit_json([asdict(one) for one in posted])
     else:
-        say(f"maps/{map_id}/sessions/{session_id} has {_count(len(posted))} of {file.name}.")
+        say(f"{session_name(map_id, session_id)} has {counted(len(posted), 'anchor')} of {file.name}.")
 
 
 @group.command("preview")
@@ -54,7 +55,7 @@ def preview(
     if len(anchors) > ANCHORS_AT_ONCE:
         raise refuse(f"{file.name} holds {len(anchors)} anchors: at most {ANCHORS_AT_ONCE} are tried at once")
     with Client(http) as client:
-        asked = client.sessions.preview_anchors(_session(map_id, session_id), anchors)
+        asked = client.sessions.preview_anchors(session_name(map_id, session_id), anchors)
         told = waited(client, asked, quiet=json).result or {}
     if json:
         emit_json(told)
@@ -79,13 +80,17 @@ def list_anchors(
     from revisit.sdk.client import Client
 
     with Client(http) as client:
-        sessions = [_session(map_id, session_id)] if session_id else client.sessions.list(f"maps/{map_id}")
+        sessions = [session_name(map_id, session_id)] if session_id else client.sessions.list(f"maps/{map_id}")
         found: list[Anchor] = [one for session in sessions for one in client.sessions.anchors(session)]
     if json:
         emit_json([asdict(one) for one in found])
         return
     holding = sum(one.state == "IN_MAP" for one in found)
-    emit_table(f"{holding} of {_count(len(found))} hold the map", ("kind", *COLUMNS), [_listed(one) for one in found])
+    emit_table(
+        f"{holding} of {counted(len(found), 'anchor')} hold the map",
+        ("kind", *COLUMNS),
+        [_listed(one) for one in found],
+    )
 
 
 @group.command("remove")
@@ -102,28 +107,20 @@ def remove(
 
     if not session_id or every == bool(anchor_ids):
         raise refuse("give --session and either ID... or --all")
-    session = _session(map_id, session_id)
+    session = session_name(map_id, session_id)
     with Client(http) as client:
         names = [one.name for one in client.sessions.anchors(session)] if every else _names(session, anchor_ids or [])
-        confirm(f"Remove {_count(len(names))} of {session}?", yes)
+        confirm(f"Remove {counted(len(names), 'anchor')} of {session}?", yes)
         for name in names:
             client.sessions.delete_anchor(name)
-    say(f"{session} has lost {_count(len(names))}.")
+    say(f"{session} has lost {counted(len(names), 'anchor')}.")
 
 
 COLUMNS = ("anchor", "session", "state", "off m", "reason")
 
 
-def _session(map_id: str, session_id: str) -> str:
-    return f"maps/{map_id}/sessions/{session_id}"
-
-
 def _names(session: str, anchor_ids: list[str]) -> list[str]:
     return [f"{session}/anchors/{one}" for one in anchor_ids]
-
-
-def _count(number: int) -> str:
-    return f"{number} anchor{'' if number == 1 else 's'}"
 
 
 def _row(told: dict[str, Any]) -> tuple[Any, ...]:

@@ -15,6 +15,7 @@ from revisit.cli.moments import AsOf, Ever, moment_ns
 from revisit.cli.options import HTTP, Http, Json, MapName
 from revisit.cli.output import emit_json, progress_bar, refuse, reporter, say
 from revisit.cli.recordings import Poses, opened
+from revisit.cli.submap_names import session_name
 from revisit.core.errors import BadField
 
 if TYPE_CHECKING:
@@ -40,6 +41,9 @@ FILES = (
     "3dtiles",
     "geojson",
 )
+
+PROJECTED = ("laz", "copc")
+"""The formats that can be in a projected reference system."""
 
 SURFACES = ("ply", "pcd", "laz", "copc", "mesh", "glb", "grid", "mcap", "autoware")
 """The formats with a surface, of which a later drive may have looked through a part."""
@@ -94,7 +98,7 @@ def export(
         raise refuse(f"--format {file_format} writes what was driven: --as-of and --ever are of surfaces and poses")
     if frame not in ("map", "enu"):
         raise refuse("--frame is map or enu")
-    if epsg and (file_format not in ("laz", "copc") or frame == "enu"):
+    if epsg and (file_format not in PROJECTED or frame == "enu"):
         raise refuse("--epsg is of --format laz and copc, without --frame")
     try:
         if file_format == "scans" and recording is not None and out is not None:
@@ -177,8 +181,7 @@ def _write_file(file_format: str, out: Path, asked: Asked) -> dict[str, Any]:
     out.parent.mkdir(parents=True, exist_ok=True)
     with progress_bar(quiet=False) as bar:
         more: dict[str, Writer] = {
-            "laz": partial(_write_cloud, kind="laz", epsg=epsg, earth=earth if epsg else None),
-            "copc": partial(_write_copc, epsg=epsg, earth=earth if epsg else None),
+            **{kind: partial(_write_cloud, kind=kind, epsg=epsg, earth=earth if epsg else None) for kind in PROJECTED},
             "autoware": partial(_write_autoware, earth=earth),
             "geojson": partial(_write_geojson, earth=earth),
         }
@@ -196,7 +199,7 @@ def _write_scans(out: Path, http: str, chosen: tuple[str, str], recording: Recor
     from revisit.cli.scan_trajectory import corrections_of, trajectory_lines
     from revisit.sdk.client import Client
 
-    session = f"maps/{chosen[0]}/sessions/{chosen[1]}"
+    session = session_name(*chosen)
     with Client(http) as client:
         submaps = client.list_submaps(session)
     if not all(has_place(recording, submap) for submap in submaps):
@@ -231,35 +234,26 @@ def _write_cloud(
 ) -> dict[str, int]:
     """One cloud; of a map on `earth` in the projected system `epsg`."""
     from revisit.cli.map_files import merged_cloud
+
+    write = _cloud_writer(kind, epsg)  # before a cloud is made, which takes long
+    cloud = merged_cloud(http, placed, report, ever=ever)
+    points = cloud.points if earth is None else earth.projected(cloud.points, epsg)
+    write(out, points, intensity=cloud.intensity)
+    return {"points": len(cloud.points)}
+
+
+def _cloud_writer(kind: str, epsg: int) -> Callable[..., object]:
+    """Writes points, and their intensity, to a path. Raises ModuleNotFoundError, and BadField for another system."""
+    if kind == "copc":
+        from revisit.formats import copc
+        from revisit.sdk.earth import wkt
+
+        return partial(copc.write, wkt=wkt(epsg) if epsg else "")
     from revisit.formats import laz, pcd, ply
 
     as_laz = partial(laz.encode, epsg=epsg or None)
-    writers: dict[str, Callable[..., bytes]] = {"ply": ply.encode, "pcd": pcd.encode, "laz": as_laz}
-    cloud = merged_cloud(http, placed, report, ever=ever)
-    points = cloud.points if earth is None else earth.projected(cloud.points, epsg)
-    out.write_bytes(writers[kind](points, intensity=cloud.intensity))
-    return {"points": len(cloud.points)}
-
-
-def _write_copc(
-    out: Path,
-    http: str,
-    placed: list[PlacedSubmap],
-    report: Report,
-    epsg: int,
-    earth: OnEarth | None,
-    ever: bool = False,
-) -> dict[str, int]:
-    """One cloud in an octree; of a map on `earth` in the projected system `epsg`."""
-    from revisit.cli.map_files import merged_cloud
-    from revisit.formats import copc
-    from revisit.sdk.earth import wkt
-
-    system = wkt(epsg) if epsg else ""
-    cloud = merged_cloud(http, placed, report, ever=ever)
-    points = cloud.points if earth is None else earth.projected(cloud.points, epsg)
-    copc.write(out, points, system, cloud.intensity)
-    return {"points": len(cloud.points)}
+    encoders: dict[str, Callable[..., bytes]] = {"ply": ply.encode, "pcd": pcd.encode, "laz": as_laz}
+    return lambda out, points, intensity: out.write_bytes(encoders[kind](points, intensity=intensity))
 
 
 def _write_mesh(

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from revisit.cli.options import HTTP, Http, Json
-from revisit.cli.output import emit_json, emit_table, refuse
+from revisit.cli.output import counted, emit_json, emit_table, refuse
 
 if TYPE_CHECKING:
     from revisit.sdk.client import Client
@@ -70,5 +70,6 @@ def _emit(operations: list[Operation], as_json: bool) -> None:
         (o.name.partition("/")[2], o.kind, o.state, o.subject, o.attempts, o.failure_reason, o.failure_message)
         for o in operations
     ]
-    count = f"{len(rows)} operation{'' if len(rows) == 1 else 's'}"
-    emit_table(count, ("id", "kind", "state", "subject", "attempts", "reason", "message"), rows)
+    emit_table(
+        counted(len(rows), "operation"), ("id", "kind", "state", "subject", "attempts", "reason", "message"), rows
+    )

@@ -47,6 +47,11 @@ def say(message: str) -> None:
     typer.echo(message)
 
 
+def counted(number: int, thing: str) -> str:
+    """So many things: `1 anchor`, `2 anchors`."""
+    return f"{number} {thing}{'' if number == 1 else 's'}"
+
+
 def confirm(question: str, yes: bool) -> None:
     """Ask before something is lost, unless `yes`. Exits where the answer is no."""
     if not yes:

@@ -16,8 +16,8 @@ from revisit.cli.explain import emit_near_misses
 from revisit.cli.extras import needs
 from revisit.cli.loop_decisions import decide
 from revisit.cli.options import GRPC, HTTP, Grpc, Http, Json, MapName
-from revisit.cli.output import emit_json, emit_table, refuse, say
-from revisit.cli.submap_names import full_name, short_name
+from revisit.cli.output import counted, emit_json, emit_table, refuse, say
+from revisit.cli.submap_names import full_name, session_name, short_name
 from revisit.core.errors import RevisitError
 
 if TYPE_CHECKING:
@@ -133,7 +133,7 @@ def loops(
     if state not in (None, "ACCEPTED", "REJECTED", "ALL"):
         raise refuse("--state is ACCEPTED, REJECTED or ALL")
     with Client(http) as client:
-        session = f"maps/{map_id}/sessions/{session_id}" if session_id else None
+        session = session_name(map_id, session_id) if session_id else None
         found = client.loop_closures(f"maps/{map_id}", state=state, session=session)
     _emit_loops(found, json)
 
@@ -156,7 +156,7 @@ def _emit_loops(found: list[LoopClosure], as_json: bool) -> None:
         for loop in found
     ]
     emit_table(
-        f"{len(found)} loop closure{'' if len(found) == 1 else 's'}",
+        counted(len(found), "loop closure"),
         ("query", "match", "verdict", "reason", "similarity", "score", "x m", "y m", "z m", "yaw deg", "loop"),
         rows,
     )

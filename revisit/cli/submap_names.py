@@ -22,7 +22,12 @@ def map_or_session(written: str) -> str:
     if written.startswith("maps/"):
         return written
     map_id, _, session_id = written.partition("/")
-    return f"maps/{map_id}/sessions/{session_id}" if session_id else f"maps/{map_id}"
+    return session_name(map_id, session_id) if session_id else f"maps/{map_id}"
+
+
+def session_name(map_id: str, session_id: str) -> str:
+    """The resource name of a session."""
+    return f"maps/{map_id}/sessions/{session_id}"
 
 
 def short_name(name: str) -> str:

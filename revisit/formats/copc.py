@@ -14,6 +14,7 @@ import copclib
 import numpy as np
 from numpy.typing import NDArray
 
+from revisit.core.geometry.voxel_keys import first_rows, grouped, voxel_keys
 from revisit.formats.las import SCALE_M, Millimetres, levels
 
 CELLS = 128
@@ -80,10 +81,10 @@ def octree(counts: NDArray[np.int32]) -> Iterator[tuple[Node, NDArray[np.intp]]]
     left, depth = np.random.default_rng(0).permutation(len(counts)), 0
     while len(left):
         cells = (from_corner[left] / cell).astype(np.int64)
-        cubes, cube, population = np.unique(_key(cells // CELLS), return_inverse=True, return_counts=True)
+        cube, population = grouped(voxel_keys(cells // CELLS))
         taken = (population[cube] <= FEW_POINTS) | (cell <= 1)
-        taken[np.unique(_key(cells), return_index=True)[1]] = True
-        for number in range(len(cubes)):
+        taken[first_rows(voxel_keys(cells))] = True
+        for number in range(len(population)):
             rows = np.flatnonzero(taken & (cube == number))
             x, y, z = (cells[rows[0]] // CELLS).tolist()
             yield (depth, x, y, z), left[rows]
@@ -93,12 +94,6 @@ def octree(counts: NDArray[np.int32]) -> Iterator[tuple[Node, NDArray[np.intp]]]
 def _cell(counts: NDArray[np.int32]) -> float:
     """The side of a cell of the root, in steps."""
     return max(1.0, (float(np.ptp(counts.astype(np.int64), axis=0).max()) + 1.0) / CELLS)
-
-
-def _key(cells: NDArray[np.int64]) -> NDArray[np.int64]:
-    """One number a cell (n, 3): 21 bits a direction."""
-    key: NDArray[np.int64] = (cells[:, 0] << 42) | (cells[:, 1] << 21) | cells[:, 2]
-    return key
 
 
 def _rows(stored: Millimetres, intensity: NDArray[np.floating] | None) -> NDArray[np.void]:

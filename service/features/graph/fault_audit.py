@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,17 +51,17 @@ def decided(task: MapTask, optimised: OptimisedMap, compared: Comparison, limits
     other = optimised.otherwise
     if other is None:
         return optimised
-    poses, surfaces = _poses(task, other), _Surfaces(compared, limits)
-    odometry = optimised.T_odom_submap, other.T_odom_submap
-    faults = [_sides(task, other, poses, odometry, fault) for fault in optimised.faults if fault.undecided]
+    poses, odometry = _poses(task, other), (optimised.T_odom_submap, other.T_odom_submap)
+    stretch = partial(_Stretch, compared=compared, limits=limits)
+    faults = [_sides(task, other, poses, odometry, fault, stretch) for fault in optimised.faults if fault.undecided]
     sides = [side for fault in faults for stretches in fault for side in stretches]
-    if all(surfaces.agree(side, side.mended) for side in sides):
+    if all(side.mended.agrees() for side in sides):
         stretches = [some for fault in faults for some in fault]
-        is_broken = all(any(surfaces.contradict(one, one.by_odometry) for one in some) for some in stretches)
+        is_broken = all(any(one.by_odometry.contradicts() for one in some) for some in stretches)
         faults_now = tuple(replace(one, undecided=False) for one in optimised.faults)
         return replace(other, faults=faults_now) if is_broken else optimised
-    if any(surfaces.contradict(side, side.mended) for side in sides):
-        stands = [[all(surfaces.agree(one, one.by_odometry) for one in some) for some in fault] for fault in faults]
+    if any(side.mended.contradicts() for side in sides):
+        stands = [[all(one.by_odometry.agrees() for one in some) for some in fault] for fault in faults]
         is_right = all(any(either) for either in stands)
         return _without_doubt(optimised, other) if is_right else optimised
     return optimised
@@ -80,19 +81,17 @@ def _without_doubt(optimised: OptimisedMap, other: OptimisedMap) -> OptimisedMap
 
 @dataclass(frozen=True)
 class _Side:
-    """T_map_submap (4, 4) of submaps of a session beside a fault, the nearest one first: where it is mended, and where
-    odometry, which is without other faults, carries them across it, as if the loops of this side were wrong. Beside,
-    those that loops join them with.
+    """Submaps of a session beside a fault: where it is mended, and where odometry, which is without other faults,
+    carries them across it, as if the loops of this side were wrong. They lie beside those that loops join them with.
     """
 
-    mended: Placed
-    by_odometry: Placed
-    beside: Placed
+    mended: _Stretch
+    by_odometry: _Stretch
 
 
 def _sides(
     task: MapTask, other: OptimisedMap, poses: dict[int, Matrix4], odometry: tuple[Odometry, Odometry],
-    fault: OdometryFault,
+    fault: OdometryFault, stretch: Callable[[Placed, Placed], _Stretch],
 ) -> tuple[list[_Side], list[_Side]]:  # fmt: skip
     """Short and long stretches before a fault, and such behind it; `poses` of all submaps where it is mended.
 
@@ -109,7 +108,7 @@ def _sides(
         T_map_near = poses[track.submaps[across]] @ se3.inverse(stated[across]) @ stated[near]
         T_map_odom = T_map_near @ se3.inverse(mended[near])
         carried = {track.submaps[k]: np.asarray(T_map_odom @ mended[k]) for k in ordinals}
-        return _Side({number: poses[number] for number in carried}, carried, beside)
+        return _Side(stretch({number: poses[number] for number in carried}, beside), stretch(carried, beside))
 
     last, count = max(0, until - COVERED) - 1, len(track.submaps)
     before = [side(range(last, max(0, until - reach) - 1, -1), start, fault.first) for reach in (NEAR, FAR)]
@@ -140,28 +139,40 @@ def _poses(task: MapTask, optimised: OptimisedMap) -> dict[int, Matrix4]:
     }
 
 
-@dataclass(frozen=True)
-class _Surfaces:
-    """Surfaces on one side of a fault, where odometry may have drifted from there on."""
+class _Stretch:
+    """The submaps of a side where they may lie, beside others. Each comparison of their surfaces is made once."""
 
-    compared: Comparison
-    limits: MergeLimits
+    def __init__(self, placed: Placed, beside: Placed, compared: Comparison, limits: MergeLimits) -> None:
+        """T_map_submap (4, 4) of the submaps, the nearest to the fault first."""
+        self._placed = placed
+        self._beside = beside
+        self._compared = compared
+        self._limits = limits
+        self._refusals: list[MergeRefusal | None] = []
 
-    def agree(self, side: _Side, placed: Placed) -> bool:
-        """Whether they do, as the side may have drifted."""
-        return any(self._refusal(side, placed, drift) is None for drift in _drifts())
+    def agrees(self) -> bool:
+        """Whether surfaces agree, as the side may have drifted."""
+        return any(refusal is None for refusal in self._each())
 
-    def contradict(self, side: _Side, placed: Placed) -> bool:
+    def contradicts(self) -> bool:
         """Whether they contradict each other however the side has drifted."""
-        return all(self._refusal(side, placed, drift) in _AGAINST for drift in _drifts())
+        return all(refusal in _AGAINST for refusal in self._each())
 
-    def _refusal(self, side: _Side, placed: Placed, drift: Matrix4) -> MergeRefusal | None:
-        if not placed or not side.beside:
+    def _each(self) -> Iterator[MergeRefusal | None]:
+        """What surfaces refuse at each drift, as far as it is asked for."""
+        for number, drift in enumerate(_drifts()):
+            if number == len(self._refusals):
+                self._refusals.append(self._refusal(drift))
+            yield self._refusals[number]
+
+    def _refusal(self, drift: Matrix4) -> MergeRefusal | None:
+        if not self._placed or not self._beside:
             return MergeRefusal.OVERLAP_TOO_SMALL
-        nearest = next(iter(placed.values()))
+        nearest = next(iter(self._placed.values()))
         moved = nearest @ drift @ se3.inverse(nearest)
-        evidence = self.compared({number: np.asarray(moved @ pose) for number, pose in placed.items()}, side.beside)
-        return MergeRefusal.OVERLAP_TOO_SMALL if evidence is None else surfaces_refusal(evidence, self.limits)
+        placed = {number: np.asarray(moved @ pose) for number, pose in self._placed.items()}
+        evidence = self._compared(placed, self._beside)
+        return MergeRefusal.OVERLAP_TOO_SMALL if evidence is None else surfaces_refusal(evidence, self._limits)
 
 
 def _drifts() -> Iterator[Matrix4]:

@@ -23,6 +23,8 @@ def slice_of(stamp_ns: int) -> int:
 
 def fingerprint_of(uow: UnitOfWork, submap: SubmapRecord) -> bytes | None:
     """The stored fingerprint of a submap; None where nobody told any."""
+    if not uow.radio_readings.find(submap.tenant, limit=1, map_id=submap.map_id, session_id=submap.session_id):
+        return None
     first_ns, last_ns = _driven(uow, submap)
     first_ns, last_ns = first_ns - BESIDE_NS, last_ns + BESIDE_NS
     first, last = slice_of(first_ns), slice_of(last_ns)

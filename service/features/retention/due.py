@@ -41,11 +41,10 @@ def under_review(uow: UnitOfWork, record: MapRecord) -> UnderReview:
     pairs that share no frame of the version in force: how the others lie, the map knows without a decision.
     """
     tenant, of_map = record.tenant, {"map_id": record.map_id}
-    waiting = (uow.loops.distinct(tenant, end, **of_map, **state) for state in AWAITING for end in ENDS)
-    proposed, ambiguous = AWAITING
-    by_hand = (uow.loops.distinct(tenant, end, **of_map, **ambiguous, manual=True) for end in ENDS)
-    proposals = (uow.loops.distinct(tenant, end, **of_map, **proposed) for end in ENDS)
-    return UnderReview(frozenset().union(*waiting), frozenset(_far_ends(uow, record)).union(*by_hand, *proposals))
+    proposed, ambiguous = ([uow.loops.distinct(tenant, end, **of_map, **state) for end in ENDS] for state in AWAITING)
+    by_hand = (uow.loops.distinct(tenant, end, **of_map, **AWAITING[1], manual=True) for end in ENDS)
+    held = frozenset(_far_ends(uow, record)).union(*by_hand, *proposed)
+    return UnderReview(frozenset().union(*proposed, *ambiguous), held)
 
 
 def _far_ends(uow: UnitOfWork, record: MapRecord) -> Iterator[int]:
