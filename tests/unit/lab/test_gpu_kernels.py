@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from functools import lru_cache
 from importlib import import_module
 
@@ -12,15 +11,11 @@ import pytest
 from lab.gpu.compiled import compiled_description
 from lab.gpu.kernels import Cases, DescriptionKernels, FieldRules, Patches, Planes, Returns
 from lab.gpu.on_torch import find_torch_device, torch_description
-from revisit.core.config import PipelineConfig
 from revisit.core.kernels.elastic_points import SCANS
 from revisit.core.surface.marching_cubes import case_table, edge_table
-from revisit.evaluation.simulator import OS1_64, VLP16
 
 torch = pytest.importorskip("torch", reason="devices but the processor need torch")
 
-CONFIG = PipelineConfig()
-FEW_BEAMS, MANY_BEAMS = replace(VLP16, columns=300), replace(OS1_64, columns=128)
 DEVICES = ["cpu", *(["cuda"] if torch.cuda.is_available() else [])]
 RULES = FieldRules(neighbours=6, rings=2, power=2.0)
 EDGE = 0.4
