@@ -12,6 +12,7 @@ const MOST_KEPT = 400;
 const MOST_POINTS = 60_000;
 
 const points = new PLYLoader();
+points.setCustomPropertyNameMapping({ intensity: ["intensity"] });
 const meshes = new GLTFLoader().setMeshoptDecoder(MeshoptDecoder);
 const kept = new Map();
 const waiting = [];
@@ -86,26 +87,34 @@ function inMetres(geometry, matrix) {
   return made;
 }
 
-/** Every n-th point, so that there are at most `MOST_POINTS`. */
+/** Every n-th point, with its intensity where points have one, so that there are at most `MOST_POINTS`. */
 function thinned(geometry) {
   const all = geometry.getAttribute("position");
   const step = Math.max(1, Math.ceil(all.count / MOST_POINTS));
   const count = Math.ceil(all.count / step);
   const points = new Float32Array(3 * count);
+  const column = geometry.getAttribute("intensity");
+  const told = Number.isFinite(column?.getX(0)) ? column : null; // the loader makes up a column that a file has not
+  const intensities = new Float32Array(told ? count : 0);
   for (let to = 0, from = 0; to < count; to += 1, from += step) {
     points.set([all.getX(from), all.getY(from), all.getZ(from)], 3 * to);
+    if (told) intensities[to] = told.getX(from);
   }
   const made = new BufferGeometry();
   made.setAttribute("position", new BufferAttribute(points, 3));
   made.computeBoundingSphere();
-  made.userData.heights = heightsOf(points);
+  made.userData.heights = bulkOf(points.filter((_, index) => index % 3 === 2), 1);
+  if (told) {
+    made.setAttribute("intensity", new BufferAttribute(intensities, 1));
+    made.userData.intensities = bulkOf(intensities.slice(), 0);
+  }
   return made;
 }
 
-/** The heights between which nearly all points lie, metres. */
-function heightsOf(points) {
-  const heights = points.filter((_, index) => index % 3 === 2).sort();
-  return [heights[Math.floor(0.02 * (heights.length - 1))] ?? 0, heights[Math.ceil(0.97 * (heights.length - 1))] ?? 1];
+/** The numbers between which nearly all of `values` lie, which are sorted; 0 and `high` for none. */
+function bulkOf(values, high) {
+  values.sort();
+  return [values[Math.floor(0.02 * (values.length - 1))] ?? 0, values[Math.ceil(0.97 * (values.length - 1))] ?? high];
 }
 
 /** The extent of a geometry without its outermost points: [centre, radius in metres]. */

@@ -50,13 +50,17 @@ function residuals(submaps, loops, frame) {
 }
 
 /**
- * What `kind` (height, age, residual) says of submaps: { colourOf, legend: [low, high] in words, low, high }; null for
- * "session", whose colours are those of the sessions.
+ * What `kind` (height, intensity, age, residual) says of submaps: { colourOf, legend: [low, high] in words, low, high };
+ * null for "session", whose colours are those of the sessions. Intensity is of points alone: it has no number for a submap.
  */
 export function colouring(kind, submaps, loops, frame, heightOf) {
   if (kind === "height") {
     const found = scaled(new Map(submaps.map(({ name }) => [name, heightOf(name)]).filter(([, height]) => height !== undefined)));
     return { ...found, legend: [METRES(found.low), METRES(found.high)], title: "Height", byHeight: true };
+  }
+  if (kind === "intensity") {
+    const title = "Intensity of the points, each submap by its own range; grey: it was not sent";
+    return { colourOf: () => UNKNOWN, legend: ["weak", "strong"], title, byIntensity: true };
   }
   if (kind === "age") {
     const found = scaled(new Map(submaps.map(({ name, stamp_ns }) => [name, Number(stamp_ns) / 1e9])));

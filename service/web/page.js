@@ -761,6 +761,7 @@ function connect() {
   byId("colour-by").addEventListener("change", ({ target }) => {
     model.colourBy = target.value;
     render();
+    if (model.colourBy === "intensity" && view.surface !== "points") setSurface("points");
   });
   connectExports(() => ({ map: model.map, submaps: [...model.submaps.values()], loops: visibleLoops(), frame: model.frame }));
   byId("theme").addEventListener("click", switchTheme);

@@ -325,13 +325,14 @@ export class MapView {
     this.draw();
   }
 
-  /** The material of a submap's points; by height they have the whole ramp, each point for itself. */
+  /** The material of a submap's points; by height or intensity they have the whole ramp, each point for itself. */
   pointsOf(place, tint, geometry) {
     const size = 1.4 * this.renderer.getPixelRatio();
-    if (!this.colouring?.byHeight) return pointsMaterial(tint, size, geometry.userData.heights);
-    const [low, high] = geometry.userData.heights;
+    const { heights, intensities } = geometry.userData;
+    if (this.colouring?.byIntensity && intensities) return rampMaterial(size, "intensity", intensities, 1e-6);
+    if (!this.colouring?.byHeight) return pointsMaterial(tint, size, heights);
     const { elements: e } = place.matrix;
-    return rampMaterial(size, [low + e[14], high + e[14]]);
+    return rampMaterial(size, "at.z", heights.map((height) => height + e[14]), 0.5);
   }
 
   /** What is under a point of the canvas: of the points or the surface, else a submap, else the ground; null for nothing. */
@@ -555,18 +556,19 @@ export function pointsMaterial(colour, size, [low, high]) {
   return new THREE.ShaderMaterial({ ...CLOUD, uniforms });
 }
 
-/** Points by their height in the drawing, over the whole ramp. */
-function rampMaterial(size, [low, high]) {
-  const uniforms = { size: { value: size }, low: { value: low }, high: { value: Math.max(high, low + 0.5) }, stops: { value: RAMP.map((stop) => new THREE.Color(stop)) } };
-  return new THREE.ShaderMaterial({ ...CLOUD, vertexShader: BY_HEIGHT, uniforms });
+/** Points by `value`, their height in the drawing or an attribute, from `low` to `high` over the whole ramp. */
+function rampMaterial(size, value, [low, high], least) {
+  const uniforms = { size: { value: size }, low: { value: low }, high: { value: Math.max(high, low + least) }, stops: { value: RAMP.map((stop) => new THREE.Color(stop)) } };
+  return new THREE.ShaderMaterial({ ...CLOUD, vertexShader: overRamp(value), uniforms });
 }
 
-const BY_HEIGHT = `
+const overRamp = (value) => `
+  ${value === "at.z" ? "" : `attribute float ${value};`}
   uniform float size, low, high; uniform vec3 stops[5];
   varying vec3 vTint;
   void main() {
     vec4 at = modelMatrix * vec4(position, 1.0);
-    float share = clamp((at.z - low) / (high - low), 0.0, 1.0) * 4.0;
+    float share = clamp((${value} - low) / (high - low), 0.0, 1.0) * 4.0;
     vTint = stops[0];
     for (int stop = 0; stop < 4; stop++) vTint = mix(vTint, stops[stop + 1], clamp(share - float(stop), 0.0, 1.0));
     gl_Position = projectionMatrix * viewMatrix * at;

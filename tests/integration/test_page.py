@@ -71,7 +71,6 @@ def test_a_fault_of_odometry_is_marked_on_its_trajectory_in_words(chromium, serv
         return abs(box["x"] + box["width"] / 2 - at[0]) < 60 and abs(box["y"] + box["height"] - at[1]) < 60
 
     eventually(is_beside)
-    shown.tab.screenshot(path="/tmp/maps_page.png")
     assert shown.complaints == []
     shown.tab.close()
 
@@ -523,6 +522,31 @@ def test_colours_tell_what_is_asked_and_the_legend_its_range(page):
     page.tab.select_option("#colour-by", "session")
     page.tab.locator("#legend").wait_for(state="hidden")
     assert page.tab.evaluate("[...revisitPage.view().dots.geometry.attributes.tint.array].join()") == by_session
+
+
+def test_points_are_coloured_by_their_intensity_and_grey_where_none_was_sent(chromium, service):
+    with Client(service.http) as client:
+        session = client.create_session(client.create_map("shiny"), "friday")
+        for number, submap in enumerate(("plain", "shiny")):
+            points = cloud_points(40 * number)[:, :3]
+            sent_too = points if submap == "plain" else np.column_stack([points, np.arange(len(points)) % 100])
+            client.wait(client.post_submap(session, submap, sent_too, pose(40.0 * number), number + 1))
+    shown = Page(chromium, service.http, "/#maps/shiny")
+    shown.drawn()
+    shown.tab.select_option("#colour-by", "intensity")
+    shown.tab.wait_for_function("revisitPage.view().surfaces.children.length === 2")
+    assert shown.tab.locator("#legend").inner_text().split() == ["weak", "strong"]
+    drawn = shown.tab.evaluate(
+        "Object.fromEntries(revisitPage.view().surfaces.children.map(({ name, geometry, material }) => [name.split('/').pop(),"
+        " { ramp: 'stops' in material.uniforms, range: geometry.userData.intensities,"
+        " kept: [...(geometry.getAttribute('intensity')?.array ?? [])] }]))"
+    )
+    assert (drawn["plain"]["ramp"], drawn["plain"].get("range"), drawn["plain"]["kept"]) == (False, None, [])
+    assert drawn["shiny"]["ramp"] and drawn["shiny"]["range"] == pytest.approx([1, 97], abs=1e-3)
+    kept = np.round(drawn["shiny"]["kept"]).astype(int)  # to the steps of clouds on the wire
+    assert set(kept) <= set(range(100)) and len(set(kept)) > 95
+    assert shown.complaints == []
+    shown.tab.close()
 
 
 def test_residuals_are_those_of_loop_closures_in_the_frame_of_the_map(chromium, service):
