@@ -537,8 +537,8 @@ def test_points_are_coloured_by_their_intensity_and_grey_where_none_was_sent(chr
     shown.tab.wait_for_function("revisitPage.view().surfaces.children.length === 2")
     assert shown.tab.locator("#legend").inner_text().split() == ["weak", "strong"]
     drawn = shown.tab.evaluate(
-        "Object.fromEntries(revisitPage.view().surfaces.children.map(({ name, geometry, material }) => [name.split('/').pop(),"
-        " { ramp: 'stops' in material.uniforms, range: geometry.userData.intensities,"
+        "Object.fromEntries(revisitPage.view().surfaces.children.map(({ name, geometry, material }) =>"
+        " [name.split('/').pop(), { ramp: 'stops' in material.uniforms, range: geometry.userData.intensities,"
         " kept: [...(geometry.getAttribute('intensity')?.array ?? [])] }]))"
     )
     assert (drawn["plain"]["ramp"], drawn["plain"].get("range"), drawn["plain"]["kept"]) == (False, None, [])
