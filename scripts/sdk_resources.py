@@ -18,6 +18,7 @@ from revisit.v1 import (
     map_pb2,
     mapping_pb2,
     operation_pb2,
+    plan_pb2,
     retention_pb2,
     robot_pb2,
     session_pb2,
@@ -38,8 +39,8 @@ MADE = (
     loop_closure_pb2.RelocalisedPose, loop_closure_pb2.RelocaliseDrive, loop_closure_pb2.RelocaliseAnswer,
     loop_closure_pb2.LoopClosure, loop_closure_pb2.LoopClosureEvent, mapping_pb2.MapChange, mapping_pb2.MapMerge,
     mapping_pb2.RefusedJoin, mapping_pb2.MapVersionSummary, mapping_pb2.MapVersion, mapping_pb2.SubmapPose,
-    mapping_pb2.Correction, mapping_pb2.DriveChanges, map_file_pb2.MapFile, event_pb2.Event,
-    webhook_pb2.WebhookDelivery,
+    mapping_pb2.Correction, mapping_pb2.DriveChanges, map_file_pb2.MapFile, plan_pb2.PlanPin, plan_pb2.Plan,
+    event_pb2.Event, webhook_pb2.WebhookDelivery,
 )  # fmt: skip
 """Messages that become resources field by field. All others are written by hand in `revisit.sdk.own_resources`."""
 
@@ -53,7 +54,7 @@ NAMES = {
 """Messages and fields with another name in the SDK."""
 
 NONE = {
-    "Anchor.state", "Anchor.reason",
+    "Anchor.state", "Anchor.reason", "Plan.storey",
     "Session.robot", "Session.storey", "Session.drift", "Submap.model_version", "LocalizedCandidate.reason",
     "LocalizeResponse.session",
     "LoopClosure.reason", "LoopClosure.graph_state", "LoopClosureEvent.reason", "LoopClosureEvent.graph_state",

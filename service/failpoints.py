@@ -52,6 +52,7 @@ POINTS = {
     "tile.after_blob": "a tile of a map is durable, no row names it",
     "changes.after_blob": "what changed in a portion of a map is durable, no row names it",
     "publish.after_blob": "what the bytes of a map file are is durable, no row names it",
+    "plan.after_blob": "the picture of a plan is durable, no row names it",
     "index.before_apply": "the changes of an index are read, none is applied",
     "index.after_apply": "the changes of an index are applied, nothing was searched",
     "index.before_file_named": "the file of an index is written, its map does not name it",

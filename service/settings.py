@@ -140,8 +140,8 @@ class Settings(AccessSettings):
         default=None,
         ge=1,
         description="room (MiB) for the clouds of one tenant, at 12 bytes a point whatever they take on the disk, and "
-        "its anchors and readings of radio, at 720 bytes; further ones of them are refused with QUOTA; unset for no "
-        "limit",
+        "its anchors and readings of radio, at 720 bytes, and the pictures of its plans; further ones of them are "
+        "refused with QUOTA; unset for no limit",
     )
     client_points_per_s: float = Field(
         default=10e6, gt=0, description="rate limit of one API key, points a second; a tenant has twice as much"

@@ -37,6 +37,7 @@ from revisit.service.features.operations.calls import Operations
 from revisit.service.features.operations.dead_letters import DeadLetters
 from revisit.service.features.operations.worker_answers import WorkerAnswers
 from revisit.service.features.optimisation.calls import MapVersions
+from revisit.service.features.plans.calls import Plans
 from revisit.service.features.publishing.calls import MapFiles
 from revisit.service.features.radio.calls import Radio
 from revisit.service.features.relocalisation.calls import Conversations
@@ -75,6 +76,7 @@ class UseCases:
     map_tiles: MapTiles
     map_changes: MapChanges
     map_files: MapFiles
+    plans: Plans
     retention: MapRetentions
     corrections: Corrections
     loop_decisions: LoopDecisions
@@ -117,6 +119,7 @@ class UseCases:
             map_tiles=MapTiles(context, operations, work),
             map_changes=MapChanges(context, operations, work),
             map_files=MapFiles(context),
+            plans=Plans(context, work),
             retention=MapRetentions(context),
             corrections=Corrections(context, tail),
             loop_decisions=LoopDecisions(context),

@@ -28,6 +28,7 @@ from revisit.v1 import (
     map_tile_pb2,
     mapping_pb2,
     operation_pb2,
+    plan_pb2,
     radio_pb2,
     retention_pb2,
     robot_pb2,
@@ -55,6 +56,7 @@ class Form(Enum):
 
     MESSAGE = "path, query and JSON body make the request; the answer is JSON"
     CLOUD = "the body is a cloud"
+    IMAGE = "the body is a picture"
     FILE = "the answer is a file"
     EVENTS = "the answer is a stream of server-sent events"
 
@@ -265,6 +267,16 @@ _TABLE = (
         Row("EnableMapFile", ADMIN, "POST /v1/{name=maps/*/files/*}:enable", "map_file"),
         Row("DeleteMapFile", ADMIN, "DELETE /v1/{name=maps/*/files/*}"),
         Row("DownloadMapFile", READ, "GET /v1/{name=maps/*/files/*}:download", form=Form.FILE),
+    ),
+    *_calls(
+        plan_pb2,
+        "plans",
+        Row("CreatePlan", ADMIN, "POST /v1/{parent=maps/*}/plans", "plan", form=Form.IMAGE, cost=Cost.CLOUD),
+        Row("GetPlan", READ, "GET /v1/{name=maps/*/plans/*}", "plan"),
+        Row("ListPlans", READ, "GET /v1/{parent=maps/*}/plans"),
+        Row("PinPlan", ADMIN, "POST /v1/{name=maps/*/plans/*}:pin", "plan"),
+        Row("DeletePlan", ADMIN, "DELETE /v1/{name=maps/*/plans/*}"),
+        Row("DownloadPlan", READ, "GET /v1/{name=maps/*/plans/*}:download", form=Form.FILE),
     ),
     *_calls(
         retention_pb2,

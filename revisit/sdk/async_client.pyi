@@ -29,6 +29,7 @@ from revisit.sdk.resources import MapRetention
 from revisit.sdk.resources import MapTile
 from revisit.sdk.resources import MapVersion
 from revisit.sdk.resources import Operation
+from revisit.sdk.resources import Plan
 from revisit.sdk.resources import Relocalisation
 from revisit.sdk.resources import RetentionPolicy
 from revisit.sdk.resources import RetentionReport
@@ -123,6 +124,20 @@ class Operations:
     async def wait(self, operation: str | Operation, timeout_s: float=300.0) -> Operation:
         ...
 
+class Plans:
+    async def create(self, map_: str | Map, plan_id: str, image: Path | str | bytes, pins: Iterable[tuple[tuple[float, float], tuple[float, float]]], *, display_name: str='', storey: str | None=None) -> Plan:
+        ...
+    async def get(self, plan: str | Plan) -> Plan:
+        ...
+    async def list(self, map_: str | Map) -> builtins.list[Plan]:
+        ...
+    async def pin(self, plan: str | Plan, pins: Iterable[tuple[tuple[float, float], tuple[float, float]]]) -> Plan:
+        ...
+    async def delete(self, plan: str | Plan) -> None:
+        ...
+    async def download(self, plan: str | Plan) -> bytes:
+        ...
+
 class Robots:
     async def create(self, robot_id: str, *, display_name: str='') -> Robot:
         ...
@@ -213,6 +228,7 @@ class AsyncClient:
     loops: Loops
     versions: Versions
     files: Files
+    plans: Plans
     operations: Operations
     webhooks: Webhooks
     def __init__(self, http: str | None=None, *, api_key: str | None=None, ca: str | Path | None=None, transport: Transport | None=None, retry: RetryPolicy=RetryPolicy()) -> None:

@@ -21,6 +21,7 @@ from revisit.sdk.groups.group import Group
 from revisit.sdk.groups.loops import Loops
 from revisit.sdk.groups.maps import Maps
 from revisit.sdk.groups.operations import Operations
+from revisit.sdk.groups.plans import Plans
 from revisit.sdk.groups.robots import Robots
 from revisit.sdk.groups.sessions import Sessions
 from revisit.sdk.groups.submaps import Submaps
@@ -44,6 +45,7 @@ DELETIONS = {
     "submaps": "DeleteSubmap",
     "webhooks": "DeleteWebhook",
     "files": "DeleteMapFile",
+    "plans": "DeletePlan",
 }
 """The call that deletes a resource, by its collection."""
 
@@ -84,6 +86,7 @@ class Client:
         self.loops = Loops(transport)
         self.versions = Versions(transport)
         self.files = Files(transport, retry)
+        self.plans = Plans(transport)
         self.operations = Operations(transport)
         self.webhooks = Webhooks(transport)
         self._name_catalogue_calls()

@@ -11,13 +11,14 @@ from google.protobuf.message import Message
 
 from revisit.api.calls import NAMED, Call
 from revisit.api.http_form import is_point, is_transform, spelling
+from revisit.formats.pictures import JPEG, JPEG_BEGIN, PNG
 from revisit.sdk.reading import Json
 from revisit.v1 import cloud_pb2, geometry_pb2
 
 SENT_ALWAYS = frozenset({"stamp_ns", "submap_id"})
 """Parameters that the service must be given, also where they are 0 or empty."""
 
-NOT_FIELDS = frozenset({"cloud", "place_descriptor"})
+NOT_FIELDS = frozenset({"cloud", "image", "place_descriptor"})
 """The body itself, or several of its fields."""
 
 
@@ -37,6 +38,8 @@ def http_request(call: Call, request: Any) -> HttpRequest:
     named = found["field"] if (found := NAMED.search(rule)) else ""
     if "cloud" in request.DESCRIPTOR.fields_by_name and request.HasField("cloud"):
         return HttpRequest(verb, path, cloud_arguments(request.cloud, dict(_spelled(request, named))))
+    if "image" in request.DESCRIPTOR.fields_by_name:
+        return HttpRequest(verb, path, _image_arguments(request, dict(_spelled(request, named))))
     if verb == "POST":
         has_body = any(one.name != named for one in request.DESCRIPTOR.fields)
         return HttpRequest(verb, path, {"json": _body(request, named)} if has_body else {})
@@ -47,6 +50,14 @@ def cloud_arguments(cloud: cloud_pb2.Cloud, params: Json) -> Json:
     """The arguments of a request with a cloud as its body."""
     headers = {"content-type": cloud.encoded.content_type}
     return {"content": cloud.encoded.data, "params": params, "headers": headers}
+
+
+def _image_arguments(request: Any, params: Json) -> Json:
+    """The arguments of a request with a picture as its body, and pins as texts."""
+    pins = [",".join(map(repr, (pin.pixel_x, pin.pixel_y, pin.x_m, pin.y_m))) for pin in request.pins]
+    # Anything else is the service's to refuse.
+    headers = {"content-type": JPEG if request.image.startswith(JPEG_BEGIN) else PNG}
+    return {"content": request.image, "params": {**params, "pins": pins}, "headers": headers}
 
 
 def pose_text(pose: geometry_pb2.Transform) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from base64 import b64encode
 from collections.abc import Mapping
 from typing import Any, TypeVar
 
@@ -30,8 +31,9 @@ def request_of(kind: type[M], fields: Mapping[str, Any]) -> M:
         if isinstance(value, Message):
             getattr(request, name).CopyFrom(value)
             continue
+        spelled = b64encode(value).decode() if isinstance(value, bytes) else value
         try:
-            ParseDict({name: value}, request)
+            ParseDict({name: spelled}, request)
         except (ParseError, TypeError, ValueError) as error:
             reason = "is unknown" if name not in request.DESCRIPTOR.fields_by_name else "has an unusable value"
             details = ErrorDetails("INVALID_ARGUMENT", "BAD_FIELD", f"{name} {reason}", field=name)

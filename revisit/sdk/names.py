@@ -17,6 +17,7 @@ LOOP_CLOSURE = "maps/MAP/loopClosures/LOOP"
 VERSION = "maps/MAP/versions/VERSION"
 MERGE = "maps/MAP/merges/MERGE"
 MAP_FILE = "maps/MAP/files/VERSION"
+PLAN = "maps/MAP/plans/PLAN"
 TILE = "maps/MAP/versions/VERSION/tiles/TILE"
 ANY = f"{MAP}, {SESSION} or {SUBMAP}"
 

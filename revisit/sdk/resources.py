@@ -687,6 +687,48 @@ class MapFile(Resource):
 
 
 @dataclass(frozen=True, kw_only=True)
+class PlanPin(Resource):
+    """A point of a picture, and its place in the map."""
+
+    pixel_x: float = 0.0
+    """From the left edge of the picture as its bytes have it (a turn that EXIF asks for is not made): 0 to 30000."""
+    pixel_y: float = 0.0
+    """From its upper edge: 0 to 30000."""
+    x_m: float = 0.0
+    """In the frame of the plan, metres: -1000000 to 1000000."""
+    y_m: float = 0.0
+    """-1000000 to 1000000."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Plan(Resource):
+    """A picture underneath a map: scaled, turned and moved so that its two pins lie where they belong."""
+
+    name: str = ""
+    """maps/{map}/plans/{plan}"""
+    display_name: str = ""
+    storey: str | None = None
+    """The storey of a building that it shows; empty for none."""
+    media_type: str = ""
+    """image/png or image/jpeg"""
+    width_px: int = 0
+    height_px: int = 0
+    size_bytes: int = 0
+    pins: tuple[PlanPin, ...] = ()
+    """Two. Each goes with the submap that was nearest to it when it was set, as versions of the map move that."""
+    frame: str = ""
+    """The frame of the map that the pins are in; empty for one that was set before the map had a version: then it is
+    the odometry of the oldest session.
+    """
+    map_version: int = 0
+    """The version of the map by which they are where they are, 0 for none."""
+    metres_per_pixel: float = 0.0
+    turn_rad: float = 0.0
+    """How far the picture is turned counter-clockwise, radians."""
+    created_at_ns: int = 0
+
+
+@dataclass(frozen=True, kw_only=True)
 class Event(Resource):
     """Something that became true in a map. It holds its resource as that stands when the event is told."""
 

@@ -24,6 +24,7 @@ from revisit.service.calls.mapping import (
     version_fields,
 )
 from revisit.service.calls.operations import asked_fields, operation_fields
+from revisit.service.calls.plans import plan_fields
 from revisit.service.calls.push import delivery_fields, webhook_fields
 from revisit.service.domain.identity import TenantId
 from revisit.service.use_cases import UseCases
@@ -66,6 +67,9 @@ USES: Mapping[str, Callable[[UseCases], Callable[..., Awaitable[Any]]]] = {
     "ListMapFiles": lambda cases: cases.map_files.list,
     "EnableMapFile": lambda cases: cases.map_files.enable,
     "DeleteMapFile": lambda cases: cases.map_files.delete,
+    "GetPlan": lambda cases: cases.plans.get,
+    "ListPlans": lambda cases: cases.plans.list,
+    "DeletePlan": lambda cases: cases.plans.delete,
     "GetOperation": lambda cases: cases.operations.get,
     "RetryOperation": lambda cases: cases.dead_letters.retry,
     "CancelOperation": lambda cases: cases.operations.cancel,
@@ -92,6 +96,7 @@ FIELDS: Mapping[str, Callable[[Any], Fields]] = {
     "Correction": correction_fields,
     "MapTile": tile_fields,
     "MapFile": file_fields,
+    "Plan": plan_fields,
     "Operation": operation_fields,
     "Webhook": webhook_fields,
     "WebhookDelivery": delivery_fields,

@@ -16,6 +16,7 @@ from revisit.service.calls import (
     mapping,
     operations,
     plain,
+    plans,
     push,
     radio,
     retention,
@@ -26,7 +27,7 @@ from revisit.service.use_cases import UseCases
 from revisit.service.wire.fields import Fields
 from revisit.service.wire.rendering import Answer
 
-ROOMS = (anchors, catalogue, ingest, search, loops, mapping, map_parts, operations, push, radio, retention)
+ROOMS = (anchors, catalogue, ingest, search, loops, mapping, map_parts, operations, plans, push, radio, retention)
 
 
 def answers(call: Call, cases: UseCases) -> Callable[[TenantId, Any], Awaitable[Answer]]:

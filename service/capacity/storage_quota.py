@@ -1,9 +1,9 @@
-"""How much a tenant may store, by the points of its clouds, and by its anchors.
+"""How much a tenant may store, by the points of its clouds, by its anchors and by its plans.
 
 Counted from rows: 12 bytes a point, as a cloud has them before it is compressed, so that a client can reckon with it;
-an anchor and a reading of radio count as so many points. Derived data (meshes, descriptors) is not counted. A gateway
-keeps a sum in memory. It makes the sum anew, at most once a second a tenant, once it has stored its part of the room
-that there was: the other gateways may have filled theirs.
+an anchor and a reading of radio count as so many points, a plan as the bytes of its picture. Derived data (meshes,
+descriptors) is not counted. A gateway keeps a sum in memory. It makes the sum anew, at most once a second a tenant,
+once it has stored its part of the room that there was: the other gateways may have filled theirs.
 """
 
 from __future__ import annotations
@@ -59,9 +59,8 @@ class StorageQuota:
             counted = await self._storage.read(lambda uow: _points(uow, tenant))
             self._stored[tenant] = _Stored(POINT_BYTES * counted)
         if self._reached(tenant):
-            message = (
-                f"the tenant's clouds and anchors take {self._most_bytes >> 20} MiB or more, which is all it may store"
-            )
+            most = f"{self._most_bytes >> 20} MiB"
+            message = f"the tenant's clouds, anchors and plans take {most} or more, which is all it may store"
             raise QuotaReached(message, retry_after_s=QUOTA_RETRY_S)
 
     def note(self, tenant: TenantId, points: int) -> None:
@@ -83,4 +82,5 @@ class StorageQuota:
 def _points(uow: UnitOfWork, tenant: TenantId) -> int:
     clouds = uow.scans.points_of(tenant) + uow.submaps.points_of(tenant)
     anchors = STORED_ANCHOR_POINTS * uow.anchors.count(tenant)
-    return clouds + anchors + STORED_READING_POINTS * uow.radio_readings.count(tenant)
+    plans = uow.plans.bytes_of(tenant) // POINT_BYTES
+    return clouds + anchors + plans + STORED_READING_POINTS * uow.radio_readings.count(tenant)

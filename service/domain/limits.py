@@ -128,6 +128,18 @@ PLACE_VARIANCE_M2 = Range(1e-6, 1e8, "m^2")
 HEADING_RAD = Range(-10.0, 10.0, "radians")
 HEADING_SIGMA_RAD = Range(1e-4, 1.0, "radians")
 
+# Plans
+PLAN_IMAGE_BYTES = 15 * 2**20
+"""With the rest of its message it is within the bound of those over gRPC."""
+PLAN_MEGAPIXELS = 100
+PLAN_SIDE = Range(1, 30_000, "pixels")
+PLAN_PIXEL = Range(0.0, 30_000.0, "pixels")
+PLAN_COORDINATE_M = Range(-1e6, 1e6, "metres")
+PLAN_METRES_PER_PIXEL = Range(1e-4, 1000.0, "metres")
+PLAN_PINS_APART = 2.0
+"""Two pins are so many pixels from each other, at least."""
+PLANS_OF_MAP, PLAN_BYTES_OF_MAP = 20, 64 * 2**20
+
 # Radio
 READINGS = Range(1, 100)
 """Of one call."""

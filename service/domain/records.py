@@ -456,6 +456,36 @@ class MapFileRecord:
 
 
 @dataclass(frozen=True)
+class PlanRecord:
+    """A picture underneath a map, by the hash of its bytes.
+
+    `pins` are two rows of numbers (see `features.plans.rules.HeldPin`), set in `frame` of the map, "" where it had no
+    version. `storey` is None where it shows none.
+    """
+
+    tenant: TenantId
+    map_id: str
+    plan_id: str
+    content_hash: str
+    display_name: str
+    storey: str | None
+    media_type: str
+    width_px: int
+    height_px: int
+    size_bytes: int
+    image_sha256: str
+    frame: str
+    pins: tuple[tuple[float, ...], ...]
+    created_at_ns: int
+    number: int = 0
+
+    @property
+    def name(self) -> str:
+        """The resource name."""
+        return f"maps/{self.map_id}/plans/{self.plan_id}"
+
+
+@dataclass(frozen=True)
 class JobRecord:
     """A leased job, which clients see as an operation.
 

@@ -21,6 +21,8 @@ TILE_BLOB = "map-tile"
 """The fused surface of a tile of a map (see `core.codec.tile`)."""
 MAP_LAYOUT_BLOB = "map-layout"
 """The layout of a map file's bytes (see `mapping.map_layout`)."""
+PLAN_BLOB = "plan"
+"""The picture of a plan as it was sent."""
 
 
 Blob = tuple[str, str]

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any, Protocol, TypeVar
 
 from revisit.service.domain.identity import SubmapKey, TenantId
-from revisit.service.domain.records import JobRecord, LoopRecord, Pose, ScanRecord, SubmapRecord
+from revisit.service.domain.records import JobRecord, LoopRecord, PlanRecord, Pose, ScanRecord, SubmapRecord
 from revisit.service.domain.webhooks import News, WebhookRecord
 
 R = TypeVar("R")
@@ -128,6 +128,14 @@ class ScanRepository(Repository[ScanRecord], Protocol):
 
     def with_seqs(self, tenant: TenantId, map_id: str, session_id: str, seqs: Sequence[int]) -> list[ScanRecord]:
         """Those scans of a session that have one of these numbers, in order."""
+        ...
+
+
+class PlanRepository(Repository[PlanRecord], Protocol):
+    """Pictures underneath maps, and how much they take."""
+
+    def bytes_of(self, tenant: TenantId) -> int:
+        """How many bytes the pictures of a tenant have together."""
         ...
 
 

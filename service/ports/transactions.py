@@ -31,6 +31,7 @@ from revisit.service.ports.processes import ProcessLog
 from revisit.service.ports.repositories import (
     JobRepository,
     LoopRepository,
+    PlanRepository,
     Repository,
     ScanRepository,
     SubmapRepository,
@@ -129,6 +130,11 @@ class UnitOfWork(Protocol):
     @property
     def map_files(self) -> Repository[MapFileRecord]:
         """Versions of maps as files by (map_id, version)."""
+        ...
+
+    @property
+    def plans(self) -> PlanRepository:
+        """Pictures underneath maps by (map_id, plan_id)."""
         ...
 
     @property

@@ -51,7 +51,9 @@ def answer(message: type[Message], fields: Fields, status: int = 200, *, replay:
 
 def describe_answers(document: dict[str, Any]) -> None:
     """Add the schemas of all answers to the OpenAPI document."""
-    over_http = (call for call in CALLS.values() if call.row.http and call.row.form in (Form.MESSAGE, Form.CLOUD))
+    over_http = (
+        call for call in CALLS.values() if call.row.http and call.row.form in (Form.MESSAGE, Form.CLOUD, Form.IMAGE)
+    )
     served = (call.body for call in over_http if status_of(call) != 204)
     schemas = openapi.schemas([*served, *_OF_ROUTES_BY_HAND])
     document.setdefault("components", {}).setdefault("schemas", {}).update(schemas)

@@ -23,7 +23,7 @@ from revisit.service.rest.middleware import (
     RequestSlots,
     RequestTimer,
 )
-from revisit.service.rest.routes import clouds, downloads, events, messages, page, searches, system
+from revisit.service.rest.routes import clouds, downloads, events, messages, page, plans, searches, system
 from revisit.service.rest.schemas import Problem
 from revisit.service.rest.tracing import RequestTracing
 from revisit.service.status import STATUS
@@ -31,8 +31,8 @@ from revisit.service.use_cases import UseCases
 
 API_VERSION = "1"
 
-BODIES_AND_FILES = (searches, clouds, downloads, events)
-"""Written by hand: bodies that are clouds, answers that are files or streams."""
+BODIES_AND_FILES = (searches, clouds, downloads, plans, events)
+"""Written by hand: bodies that are clouds or pictures, answers that are files or streams."""
 
 
 def create_app(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
+from collections.abc import AsyncIterator, Awaitable, Callable, Iterator, Mapping
 
 from fastapi import Response
 from starlette.types import Receive, Scope, Send
@@ -15,9 +15,16 @@ from revisit.service.features.catalogue.downloads import Download, Room
 class FileInPieces(Response):
     """A download that counts in the budget until its last piece is handed over, or its connection is lost."""
 
-    def __init__(self, budget: ByteBudget, tenant: TenantId, make: Callable[[Room], Awaitable[Download]]) -> None:
-        """`make` makes the file when the budget has room; its error is the answer."""
+    def __init__(
+        self,
+        budget: ByteBudget,
+        tenant: TenantId,
+        make: Callable[[Room], Awaitable[Download]],
+        headers: Mapping[str, str] | None = None,
+    ) -> None:
+        """`make` makes the file when the budget has room; its error is the answer. `headers` are beside its own."""
         super().__init__()
+        self._extra = headers or {}
         self._budget = budget
         self._tenant = tenant
         self._make = make
@@ -27,7 +34,7 @@ class FileInPieces(Response):
         with self._budget.hold(self._tenant) as held:
             file = await self._make(held.wait_for)
             held.set(len(file.data))
-            await send({"type": "http.response.start", "status": 200, "headers": _headers(file)})
+            await send({"type": "http.response.start", "status": 200, "headers": _headers(file, self._extra)})
             await send_body(send, _in_turn(file.pieces()))
 
 
@@ -50,8 +57,9 @@ async def _in_turn(pieces: Iterator[bytes]) -> AsyncIterator[bytes]:
         yield piece
 
 
-def _headers(file: Download) -> list[tuple[bytes, bytes]]:
+def _headers(file: Download, others: Mapping[str, str]) -> list[tuple[bytes, bytes]]:
     headers = {
+        **others,
         "content-type": file.media_type,
         "content-length": str(len(file.data)),
         "content-disposition": f'attachment; filename="{file.filename}"',

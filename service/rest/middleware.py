@@ -36,6 +36,8 @@ SECURITY_HEADERS = {
         "base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
     ),
 }
+STRICTER = ("cache-control", "content-security-policy")
+"""Those that an answer may bring itself."""
 
 
 NOBODY = TenantId("")
@@ -71,8 +73,7 @@ class RequestEnvelope:
             if message["type"] == "http.response.start":
                 started = True
                 own = MutableHeaders(scope=message)
-                kept = own.get("cache-control")
-                own.update(headers if kept is None else {**headers, "cache-control": kept})
+                own.update(headers | {name: own[name] for name in STRICTER if name in own})
             await send(message)
 
         try:

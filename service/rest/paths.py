@@ -16,6 +16,7 @@ ID_NAMES = {
     "versions": VERSION_ID,
     "files": VERSION_ID,
     "merges": "merge_id",
+    "plans": "plan_id",
     "tiles": "tile_id",
     "operations": "operation_id",
     "webhooks": "webhook_id",

@@ -43,6 +43,10 @@ BOUNDS: dict[str, Range] = {
     "heading_rad": limits.HEADING_RAD,
     "heading_sigma_rad": limits.HEADING_SIGMA_RAD,
     **limits.GEODETIC,
+    "pixel_x": limits.PLAN_PIXEL,
+    "pixel_y": limits.PLAN_PIXEL,
+    "x_m": limits.PLAN_COORDINATE_M,
+    "y_m": limits.PLAN_COORDINATE_M,
     "page_size": limits.PAGE_SIZE,
     "strengths_dbm": limits.STRENGTH_DBM,
     "stamp_ns": limits.STAMP_NS,
@@ -60,6 +64,7 @@ TEXTS: dict[str, dict[str, Any]] = {
     "robot_id": ID,
     "session_id": ID,
     "anchor_id": ID,
+    "plan_id": ID,
     "webhook_id": ID,
     "robot": ID,
     "map": ID,
@@ -101,4 +106,5 @@ DEFAULTS: dict[str, Any] = {
 REQUIRED = frozenset({
     "map_id", "robot_id", "session_id", "webhook_id", "url", "version", "source", "query", "match", "points_m",
     "centre_m", "within_m", "anchors", "anchor_id", "readings", "access_points", "strengths_dbm",
+    "plan_id", "pins",
 })  # fmt: skip

@@ -64,6 +64,12 @@ def file_key(name: str, field: str = "name") -> tuple[str, int]:
     return of_map, version_number(version, field)
 
 
+def plan_key(name: str, field: str = "name") -> tuple[str, str]:
+    """Map id and plan id of `maps/{map}/plans/{plan}`."""
+    of_map, plan_id = segments(name, "maps/*/plans/*", field)
+    return of_map, plan_id
+
+
 def merge_source(name: str, field: str = "source") -> tuple[str, str | None]:
     """Map id, and session id or None, of `maps/{map}` or `maps/{map}/sessions/{session}`."""
     if name.count("/") == 1:

@@ -81,6 +81,7 @@ CALLS = {
     "SqlScans.first_seq_from": lambda uow: uow.scans.first_seq_from(TENANT, "town", "monday", 0.5),
     "SqlScans.points_of": lambda uow: uow.scans.points_of(TENANT),
     "SqlSubmaps.points_of": lambda uow: uow.submaps.points_of(TENANT),
+    "SqlPlans.bytes_of": lambda uow: uow.plans.bytes_of(TENANT),
     "SqlScans.with_seqs": lambda uow: uow.scans.with_seqs(TENANT, "town", "monday", [1, 2]),
     "SqlSubmaps.placed": lambda uow: uow.submaps.placed(TENANT, "town"),
     "SqlSubmaps.add": lambda uow: uow.submaps.add(a_submap(submap_id="another")),

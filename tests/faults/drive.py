@@ -3,8 +3,9 @@
 Four sessions are opened, one of which states its drift, submaps posted (two of one place, one that cannot be
 described), scans appended, anchors posted, of which one is deleted, one submap and one session deleted, another session
 finished, and the jobs run. The map is optimised twice, its rejected loops are tested again, tiles made of now and of a
-moment, its drives compared, and its first version brought back; a second map with anchors is merged into it, and taken
-out again. Doing it again after a crash must end where an undisturbed run does: every step carries the client's own ids.
+moment, its drives compared, two plans put underneath, of which one is deleted, and its first version brought back; a
+second map with anchors is merged into it, and taken out again. Doing it again after a crash must end where an
+undisturbed run does: every step carries the client's own ids.
 """
 
 from __future__ import annotations
@@ -33,6 +34,8 @@ from revisit.service.features.catalogue.sessions import CreateSession
 from revisit.service.features.graph.map_jobs import post_map_job
 from revisit.service.features.index.keeping import IndexHealth
 from revisit.service.features.merging.calls import MergeMap
+from revisit.service.features.plans.calls import NewPlan
+from revisit.service.features.plans.rules import PlanPin
 from revisit.service.features.radio.calls import RadioReading
 from revisit.service.features.resources.paging import PageRequest
 from revisit.service.features.upkeep.sweeping import UNREFERENCED_S, collect
@@ -41,6 +44,7 @@ from revisit.service.ports.transactions import UnitOfWork
 from tests.faults.history import History, Kind, Outcome
 from tests.support.fake_merger import EasyMerger
 from tests.support.fake_recogniser import CANNOT_BE_DESCRIBED
+from tests.support.made_pictures import a_png
 from tests.support.service_world import TENANT, World, cloud_points, open_session, pose, scan, sqlite_world, submap
 from tests.support.stepped_clock import PassingClock
 
@@ -64,6 +68,9 @@ FIXES = {"told": (POSTED, 1_001), "between": (STREAMED, 250), MISREAD: (STREAMED
 
 AS_OF_NS = 1_001
 """A moment at which some submaps were seen."""
+
+WRONG_PLAN = "wrong"
+"""The plan that is deleted."""
 
 DEGENERATE = "degenerate"
 DELETED = "b"
@@ -111,6 +118,7 @@ async def drive(world: World, history: History) -> None:
         world.work_off()
     _test_rejected_loops_again(world)
     await _publish_and_look(world)
+    await _put_plans_underneath(world, history)
     await _save_index(world)
     await world.use_cases.map_versions.revert(TENANT, POSTED.map_id, 1)
     await _merge_and_take_back(world, history)
@@ -212,6 +220,18 @@ async def _hear(world: World, history: History) -> None:
     history.settle(operation, Outcome.OK)
 
 
+async def _put_plans_underneath(world: World, history: History) -> None:
+    """Two pictures; the second is pinned anew and deleted."""
+    plans, pins = world.use_cases.plans, [PlanPin(0.0, 0.0, 0.0, 0.0), PlanPin(9.0, 0.0, 9.0, 0.0)]
+    for plan_id, red in (("ground", 10), (WRONG_PLAN, 20)):
+        image = a_png(red=red)
+        operation = history.invoke("person", Kind.PUT, f"plan/{plan_id}", hashlib.sha256(image).hexdigest())
+        await plans.create(TENANT, NewPlan(POSTED.map_id, plan_id, image, pins))
+        history.settle(operation, Outcome.OK)
+    await plans.pin(TENANT, POSTED.map_id, WRONG_PLAN, pins[::-1])
+    await _delete(plans.delete(TENANT, POSTED.map_id, WRONG_PLAN), history, WRONG_PLAN, of="plan")
+
+
 async def _append(world: World, history: History, seq: int) -> None:
     opened = await world.use_cases.scans.open(TENANT, STREAMED)
     resumed = history.invoke("scanner", Kind.RESUME, "stream")
@@ -222,7 +242,7 @@ async def _append(world: World, history: History, seq: int) -> None:
 
 
 async def _delete(removal: Awaitable[None], history: History, *ids: str, of: str = "submap") -> None:
-    """Do `removal`, which takes these submaps, or anchors, with it."""
+    """Do `removal`, which takes these submaps, or what else they are, with it."""
     operations = [history.invoke("operator", Kind.DELETE, f"{of}/{one}") for one in ids]
     outcome = Outcome.OK
     try:

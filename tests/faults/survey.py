@@ -24,7 +24,7 @@ from revisit.service.features.deletion.blob_references import blobs_of_submap
 from revisit.service.features.graph.session_poses import unpack_loops
 from revisit.service.features.ingest.clouds import unpack_cloud
 from revisit.service.features.loops.rows import LoopStanding
-from revisit.service.ports.blobs import CLOUD_BLOB, MAP_LAYOUT_BLOB, TILE_BLOB, BlobStore
+from revisit.service.ports.blobs import CLOUD_BLOB, MAP_LAYOUT_BLOB, PLAN_BLOB, TILE_BLOB, BlobStore
 from revisit.service.ports.index import IndexChange
 from revisit.service.ports.transactions import UnitOfWork
 from tests.faults.history import History, Stored, sequence_violations, violations
@@ -91,6 +91,8 @@ def _survey(uow: UnitOfWork, blobs: BlobStore, tenant: TenantId) -> Survey:
     for reading in uow.radio_readings.find(tenant):
         if (reading.map_id, reading.session_id) not in copied:
             found.rows.append(Stored(f"radio/{reading.stamp_ns}", reading.heard.hex()))
+    for plan in uow.plans.find(tenant):
+        found.rows.append(Stored(f"plan/{plan.plan_id}", plan.image_sha256))
     for session in uow.sessions.find(tenant):
         found.committed[session.session_id] = session.committed_seq
         found.problems.extend(_session_problems(session, submaps, scans))
@@ -100,6 +102,7 @@ def _survey(uow: UnitOfWork, blobs: BlobStore, tenant: TenantId) -> Survey:
         found.problems.extend(_version_problems(uow, map_record))
     made = [(TILE_BLOB, row.tile_sha256) for row in uow.map_tiles.find(tenant)]
     made += [(MAP_LAYOUT_BLOB, row.layout_sha256) for row in uow.map_files.find(tenant)]
+    made += [(PLAN_BLOB, row.image_sha256) for row in uow.plans.find(tenant)]
     found.problems.extend(f"{kind} {sha256} is gone" for kind, sha256 in made if not blobs.exists(tenant, kind, sha256))
     found.problems.extend(_job_problems(submaps, uow.jobs.find(tenant)))
     return found

@@ -41,7 +41,7 @@ MOST_ROWS = 1000
 """Rows that one transaction of a deletion may change: at 100 us a row it takes 100 ms."""
 IN_A_MAP = (
     *("maps", "sessions", "scans", "submaps", "loop_closures", "loop_events", "session_poses", "map_versions"),
-    *("map_tiles", "map_files", "early_corrections", "anchors", "radio_readings", "deletions"),
+    *("map_tiles", "map_files", "early_corrections", "anchors", "radio_readings", "plans", "deletions"),
 )
 
 

@@ -105,6 +105,7 @@ def test_what_a_whole_drive_has_left_is_the_same_in_postgresql_and_back_again(tm
         "map_merges",
         "map_tiles",
         "map_versions",
+        "plans",
         "radio_readings",
     } <= filled
     back = moved_back(target, tmp_path / "back")

@@ -24,7 +24,7 @@ from tests.support.trace_receiver import TraceReceiver, trace_receiver
 
 GOOD_KEYS = 5
 IDS = {"robot": "rover", "map": "town", "session": "monday", "submap": "a", "operation": "op-1", "loop": "l-1"}
-IDS |= {"version": "1", "webhook": "hook", "merge": "m-1", "tile": "f1-0-0", "anchor": "a-1"}
+IDS |= {"version": "1", "webhook": "hook", "merge": "m-1", "tile": "f1-0-0", "anchor": "a-1", "plan": "p-1"}
 
 
 def planted_keys(home: Path) -> list[str]:

@@ -6,7 +6,7 @@ from typing import Any
 
 from sqlalchemy import Column, CompoundSelect, Select, literal, select, text, union
 
-from revisit.service.engines.sql.tables import map_files, map_tiles, scans, submaps
+from revisit.service.engines.sql.tables import map_files, map_tiles, plans, scans, submaps
 from revisit.service.ports.blobs import (
     CLOUD_BLOB,
     MAP_LAYOUT_BLOB,
@@ -14,6 +14,7 @@ from revisit.service.ports.blobs import (
     MESH_BLOB,
     NEURAL_MAP_BLOB,
     PLACE_BLOB,
+    PLAN_BLOB,
     QUERY_CLOUD_BLOB,
     TILE_BLOB,
 )
@@ -25,6 +26,7 @@ REFERENCES: tuple[tuple[str, Column[Any]], ...] = (
     (NEURAL_MAP_BLOB, submaps.c.neural_map_sha256),
     (TILE_BLOB, map_tiles.c.tile_sha256),
     (MAP_LAYOUT_BLOB, map_files.c.layout_sha256),
+    (PLAN_BLOB, plans.c.image_sha256),
 )
 """(kind of blob, column with its hash)."""
 

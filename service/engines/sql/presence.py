@@ -26,6 +26,7 @@ SESSIONS_OF: dict[Table, tuple[str, ...]] = {
     tables.map_merges: (),
     tables.map_tiles: (),
     tables.map_files: (),
+    tables.plans: (),
     tables.map_counters: (),
 }
 """The tables of a map's content, and the columns that name the sessions with which a row goes."""

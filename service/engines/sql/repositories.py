@@ -42,7 +42,7 @@ from sqlalchemy.sql.dml import ReturningInsert
 from revisit.service.domain.errors import AlreadyExists, NotFound
 from revisit.service.domain.events import ChangeOf
 from revisit.service.domain.identity import TenantId
-from revisit.service.domain.records import ScanRecord, SubmapRecord
+from revisit.service.domain.records import PlanRecord, ScanRecord, SubmapRecord
 from revisit.service.domain.states import SubmapState
 from revisit.service.engines.sql import tables
 from revisit.service.engines.sql.checksums import sound_descriptor
@@ -264,6 +264,16 @@ class SqlScans(SqlRepository[ScanRecord]):
         seq, asked = tables.scans.c.seq, of_tenant(tenant, {"map_id": map_id, "session_id": session_id})
         rows = self._connection.execute(self._rows_where(asked).where(seq.in_(seqs)).order_by(seq), asked)
         return [self._of(row) for row in rows]
+
+
+class SqlPlans(SqlRepository[PlanRecord]):
+    """`PlanRepository`."""
+
+    def bytes_of(self, tenant: TenantId) -> int:
+        """See `PlanRepository`."""
+        plans = tables.plans.c
+        query = select(func.coalesce(func.sum(plans.size_bytes), 0)).where(plans.tenant == tenant)
+        return int(self._connection.execute(query).scalar_one())
 
 
 class SqlSubmaps(SqlRepository[SubmapRecord]):

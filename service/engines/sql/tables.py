@@ -421,6 +421,26 @@ map_files = _numbered(
     Index(None, "tenant", "layout_sha256"),
 )
 
+plans = _numbered(
+    "plans",
+    ("map_id", "plan_id"),
+    _text("map_id"),
+    _text("plan_id"),
+    _text("content_hash"),
+    _text("display_name", length=256),
+    _text("storey", nullable=True),
+    _text("media_type", length=16),
+    _integer("width_px"),
+    _integer("height_px"),
+    _integer("size_bytes"),
+    _text("image_sha256"),
+    _text("frame", length=32),
+    _tuple("pins"),
+    _integer("created_at_ns"),
+    ForeignKeyConstraint(["tenant", "map_id"], ["maps.tenant", "maps.map_id"]),
+    Index(None, "tenant", "image_sha256"),
+)
+
 jobs = _numbered(
     "jobs",
     ("operation_id",),

@@ -28,6 +28,7 @@ from revisit.service.domain.records import (
     MapRecord,
     MapTileRecord,
     MapVersionRecord,
+    PlanRecord,
     RadioReadingRecord,
     RobotRecord,
     ScanRecord,
@@ -48,7 +49,7 @@ from revisit.service.engines.sql.jobs import SqlJobs
 from revisit.service.engines.sql.loops import SqlLoops
 from revisit.service.engines.sql.map_counters import SqlMaps
 from revisit.service.engines.sql.process_log import SqlProcessLog
-from revisit.service.engines.sql.repositories import SqlRepository, SqlScans, SqlSubmaps
+from revisit.service.engines.sql.repositories import SqlPlans, SqlRepository, SqlScans, SqlSubmaps
 from revisit.service.engines.sql.turns import SqlTenantTurns
 from revisit.service.engines.sql.webhooks import SqlWebhooks
 from revisit.service.engines.sql.worker_log import SqlWorkerLog
@@ -134,6 +135,8 @@ class SqlUnitOfWork:
     """Tiles of versions of maps that were made, by (map_id, version, tile_id)."""
     map_files = stored(tables.map_files, MapFileRecord)
     """Versions of maps as files by (map_id, version)."""
+    plans = Stored(SqlPlans, tables.plans, PlanRecord)
+    """Pictures underneath maps by (map_id, plan_id)."""
     jobs = Stored(SqlJobs, tables.jobs, JobRecord, on_job_change)
     """Jobs by (operation_id)."""
     webhooks = Stored(SqlWebhooks, tables.webhooks, WebhookRecord)

@@ -5,8 +5,16 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from revisit.service.domain.identity import TenantId
-from revisit.service.domain.records import MapFileRecord, MapTileRecord, ScanRecord, SubmapRecord
-from revisit.service.ports.blobs import CLOUD_BLOB, MAP_LAYOUT_BLOB, NEURAL_MAP_BLOB, PLACE_BLOB, TILE_BLOB, Blob
+from revisit.service.domain.records import MapFileRecord, MapTileRecord, PlanRecord, ScanRecord, SubmapRecord
+from revisit.service.ports.blobs import (
+    CLOUD_BLOB,
+    MAP_LAYOUT_BLOB,
+    NEURAL_MAP_BLOB,
+    PLACE_BLOB,
+    PLAN_BLOB,
+    TILE_BLOB,
+    Blob,
+)
 from revisit.service.ports.transactions import UnitOfWork
 
 FIELDS = {
@@ -38,6 +46,11 @@ def blob_of_file(record: MapFileRecord) -> Blob:
     return MAP_LAYOUT_BLOB, record.layout_sha256
 
 
+def blob_of_plan(record: PlanRecord) -> Blob:
+    """The blob of the picture of a plan."""
+    return PLAN_BLOB, record.image_sha256
+
+
 def forget_made(uow: UnitOfWork, tenant: TenantId, map_id: str, session_id: str) -> None:
     """Delete the tiles and files that were made of a session, before a part of it goes."""
     for version in uow.session_poses.distinct(tenant, "version", map_id=map_id, session_id=session_id):
@@ -60,6 +73,13 @@ def forget_file(uow: UnitOfWork, file: MapFileRecord) -> None:
     tenant = TenantId(file.tenant)
     uow.map_files.delete(tenant, number=file.number)
     uow.blobs.release(tenant, {blob_of_file(file)})
+
+
+def forget_plan(uow: UnitOfWork, plan: PlanRecord) -> None:
+    """Delete a plan with its picture."""
+    tenant = TenantId(plan.tenant)
+    uow.plans.delete(tenant, number=plan.number)
+    uow.blobs.release(tenant, {blob_of_plan(plan)})
 
 
 def naming(uow: UnitOfWork, tenant: TenantId, blob: Blob) -> int:

@@ -21,6 +21,7 @@ from revisit.service.domain.records import DeletionRecord
 from revisit.service.failpoints import failpoint
 from revisit.service.features.deletion.blob_references import (
     blob_of_file,
+    blob_of_plan,
     blob_of_tile,
     blobs_of_scans,
     blobs_of_submap,
@@ -180,6 +181,12 @@ def _files(uow: UnitOfWork, deletion: DeletionRecord, _: int) -> bool:
     return bool(files)
 
 
+def _plans(uow: UnitOfWork, deletion: DeletionRecord, _: int) -> bool:
+    plans = [] if deletion.session_id else _without(uow.plans, deletion, ROWS)
+    uow.blobs.release(deletion.tenant, {blob_of_plan(plan) for plan in plans})
+    return bool(plans)
+
+
 def _versions(uow: UnitOfWork, deletion: DeletionRecord, _: int) -> bool:
     gone = [] if deletion.session_id else _without(uow.map_versions, deletion, VERSIONS)
     return bool(gone)
@@ -202,7 +209,9 @@ def _mark(uow: UnitOfWork, deletion: DeletionRecord, _: int) -> bool:
     return False
 
 
-_STEPS: tuple[Step, ...] = (_submaps, _scans, _anchors, _radio, _poses, _tiles, _files, _versions, _sessions, _mark)
+_STEPS: tuple[Step, ...] = (
+    *(_submaps, _scans, _anchors, _radio, _poses, _tiles, _files, _plans, _versions, _sessions, _mark),
+)
 """In an order that leaves no row without its parent."""
 
 

@@ -21,6 +21,7 @@ from revisit.service.rest.app import create_app
 from tests.support.credentials import a_key, bearer
 from tests.support.fake_merger import EasyMerger
 from tests.support.live_service import live_service
+from tests.support.made_pictures import a_png
 from tests.support.patience import PATIENCE_S
 from tests.support.service_world import cloud_points, memory_world
 
@@ -29,8 +30,9 @@ CLOUD = encode_quantised(cloud_points(1))
 POSE = "0,0,0,0,0,0,1"
 AROUND = {"centre_m": "0,0,0", "within_m": 9}
 QUERY = {"submap_id": "new", "stamp_ns": 1, "T_odom_submap": POSE, "format": "ply", "timeout_s": 0, **AROUND}
+QUERY |= {"plan_id": "new", "pins": ["0,0,0,0", "9,0,9,0"]}
 OF_SUBMAP = {"robot": "rover", "map": "town", "session": "monday", "submap": "a"}
-UNIVERSE = {**OF_SUBMAP, "version": "1", "webhook": "hook", "tile": "frame-1.0.0", "anchor": "door"}
+UNIVERSE = {**OF_SUBMAP, "version": "1", "webhook": "hook", "tile": "frame-1.0.0", "anchor": "door", "plan": "ground"}
 
 
 DOOR = NewAnchor("door", "CONTROL_POINT", 1, np.eye(3), local_m=(0.0, 0.0, 0.0), T_odom_sensor=np.eye(4))
@@ -86,6 +88,7 @@ def fill(client):
     merge = client.wait(client.merge_map("maps/town", "maps/annex")).result["merge"].rpartition("/")[2]
     client.wait(client.publish_map("maps/town/versions/1"))
     client.download_tile(client.map_tiles("maps/town/versions/1")[0], "mesh")
+    client.plans.create("maps/town", "ground", PICTURE, [((0, 0), (0.0, 0.0)), ((9, 0), (9.0, 0.0))])
     client.create_webhook("hook", "https://hooks.example.com/revisit", map_="maps/town")
     loops = client.loop_closures("maps/town", state="ALL")
     loop = loops[0].name.rpartition("/")[2] if loops else "loop-guess"
@@ -103,6 +106,8 @@ ANCHOR = {
     "covariance_enu": np.eye(3).ravel().tolist(),
 }
 HEARD = RadioReading(7, {"aa:01": -50.0}).message(b"key")
+PICTURE = a_png()
+PINS = [{"pixel_x": 0.0}, {"pixel_x": 9.0, "x_m": 9.0}]
 BODIES = {
     "/sessions": {"session_id": "new"},
     "/anchors": {"anchors": [ANCHOR]},
@@ -111,6 +116,7 @@ BODIES = {
     **dict.fromkeys(("}:accept", "}:reject", "loop_id}:revert"), NOTE),
     ":distances": {"points_m": [0.0, 0.0, 0.0]},
     ":publish": {},
+    ":pin": {"pins": PINS},
     ":merge": {"source": "maps/annex"},
     ":revert": {"version": 1},
     ":setRetention": {"policy": {"best_submaps": 1}},
@@ -126,7 +132,8 @@ def ask(http, channel, metadata, ids):
     for method, path in rest_calls():
         url = re.sub(r"{(\w+)_id}", lambda m: ids[m[1]], path)
         json = next((one for end, one in BODIES.items() if path.endswith(end)), None)
-        binary = {"content": CLOUD, "headers": {"content-type": QUANTISED}}
+        content, kind = (PICTURE, "image/png") if path.endswith("/plans") else (CLOUD, QUANTISED)
+        binary = {"content": content, "headers": {"content-type": kind}}
         body = binary if json is None else {"json": filled(json, ids)}
         query = {**QUERY, "seq": 1, "T_odom_sensor": POSE} if method == "post" else QUERY
         answer = http.request(method, url, params={k: v for k, v in query.items() if wanted(path, k)}, **body)
@@ -138,6 +145,7 @@ def ask(http, channel, metadata, ids):
 
 def wanted(path, key):
     only = {"submap_id": "/submaps", "T_odom_submap": "/submaps", "seq": "/scans", "T_odom_sensor": "/scans"}
+    only |= {"plan_id": "/plans", "pins": "/plans"}
     only |= {"format": ":download", "timeout_s": ":wait", **dict.fromkeys(AROUND, "/points")}
     return path.endswith(only[key]) if key in only else True
 
@@ -171,6 +179,7 @@ NAMES = {
     "Event": {"parent": MAP},
     "Webhook": {"name": "webhooks/{webhook}", "parent": "webhooks/{webhook}"},
     "MapTile": {"name": VERSION + "/tiles/{tile}", "parent": VERSION},
+    "Plan": {"name": MAP + "/plans/{plan}", "parent": MAP, "plan_id": "new", "pins": PINS, "image": PICTURE},
     "MapFile": {"name": "maps/{map}/files/{version}", "parent": VERSION},
 }
 """The names in the requests of a service, by its noun."""

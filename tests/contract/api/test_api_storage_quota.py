@@ -18,6 +18,7 @@ from revisit.service.capacity.limits import POINT_BYTES, STORED_ANCHOR_POINTS
 from revisit.service.domain.errors import QuotaReached
 from revisit.service.domain.identity import TenantId
 from tests.support.live_service import connected, live_service
+from tests.support.made_pictures import a_png, part
 from tests.support.patience import PATIENCE_S
 from tests.support.requirements import ROOT
 from tests.support.service_world import TENANT, cloud_points, memory_world, open_session, pose, posted, scan, submap
@@ -68,6 +69,19 @@ def test_anchors_count_until_they_are_deleted(client, monkeypatch):
     client.sessions.post_anchors(session, fixes[:most])  # Those that are stored take no more room.
     client.sessions.delete_anchor(f"{session}/anchors/fix-0")
     client.sessions.post_anchors(session, fixes[most:])
+
+
+def test_the_pictures_of_plans_count_until_they_are_deleted(client, monkeypatch):
+    monkeypatch.setattr(storage_quota, "QUOTA_RECOUNT_S", 0.0)
+    pins, large = [((0, 0), (0.0, 0.0)), ((9, 0), (9.0, 0.0))], a_png(40, 30, part(b"noTh", bytes(ROOM)))
+    made = client.plans.create("maps/town", "ground", large, pins)
+    client.plans.create("maps/town", "ground", large, pins)  # What is stored already takes no more room.
+    for refused in (lambda: client.plans.create("maps/town", "first", a_png(), pins), lambda: post(client, 0)):
+        with pytest.raises(ApiError) as error:
+            refused()
+        assert error.value.reason == "QUOTA"
+    client.plans.delete(made)
+    client.plans.create("maps/town", "first", a_png(), pins)
 
 
 async def test_scans_count_and_what_another_tenant_has_does_not():

@@ -20,6 +20,7 @@ from revisit.service.domain.records import (
     JobRecord,
     LoopRecord,
     MapRecord,
+    PlanRecord,
     ScanRecord,
     SubmapRecord,
     TurnRecord,
@@ -245,6 +246,14 @@ class MemoryScans(MemoryRepository[ScanRecord]):
         """See `ScanRepository`."""
         scans = self.find(tenant, map_id=map_id, session_id=session_id)
         return sorted((scan for scan in scans if scan.seq in set(seqs)), key=lambda scan: scan.seq)
+
+
+class MemoryPlans(MemoryRepository[PlanRecord]):
+    """`PlanRepository`."""
+
+    def bytes_of(self, tenant: TenantId) -> int:
+        """See `PlanRepository`."""
+        return sum(plan.size_bytes for plan in self.find(tenant))
 
 
 class MemorySubmaps(MemoryRepository[SubmapRecord]):

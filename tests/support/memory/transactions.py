@@ -38,6 +38,7 @@ from tests.support.memory.repositories import (
     MemoryJobs,
     MemoryLoops,
     MemoryMaps,
+    MemoryPlans,
     MemoryProcessLog,
     MemoryRepository,
     MemoryScans,
@@ -54,7 +55,7 @@ T = TypeVar("T")
 _TABLES = (
     *("maps", "robots", "sessions", "scans", "submaps", "loops"),
     *("loop_events", "map_versions", "session_poses", "early_corrections", "map_merges", "map_tiles", "map_files"),
-    *("anchors", "radio_readings", "deletions"),
+    *("anchors", "radio_readings", "plans", "deletions"),
     "unreferenced_blobs",
     *("jobs", "turns", "changes", "events", "webhooks", "webhook_deliveries", "workers", "keys", "audit"),
     "processes",
@@ -91,6 +92,7 @@ class MemoryUnitOfWork:
         self.map_merges: MemoryRepository[MapMergeRecord] = of_map("map_merges", "merge_id")
         self.map_tiles: MemoryRepository[MapTileRecord] = of_map("map_tiles", "version", "tile_id")
         self.map_files: MemoryRepository[MapFileRecord] = of_map("map_files", "version")
+        self.plans = MemoryPlans(tables["plans"], ("map_id", "plan_id"), None, doomed)
         self.deletions: MemoryRepository[DeletionRecord] = MemoryRepository(
             tables["deletions"], ("map_id", "session_id")
         )

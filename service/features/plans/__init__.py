@@ -1,0 +1,1 @@
+"""Plans: pictures underneath a map, each held by two pins."""
