@@ -25,6 +25,7 @@ from revisit.cli import (
     move,
     operations,
     plan,
+    plans,
     queries,
     reembed,
     serve,
@@ -61,6 +62,7 @@ COMMANDS = (
 GROUPS = {
     "map": maps.group,
     "anchors": anchors.group,
+    "plans": plans.group,
     "keys": keys.group,
 }
 

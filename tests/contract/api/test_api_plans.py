@@ -10,7 +10,9 @@ from dataclasses import replace
 import httpx
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
+from revisit.cli.app import app
 from revisit.sdk.errors import AlreadyExists, ApiError, InvalidArgument, NotFound
 from revisit.service.domain import limits
 from revisit.service.features.graph.session_poses import PackedSubmaps
@@ -232,3 +234,26 @@ def shifted(service, town, session, submap, metres):
         uow.session_poses.replace(replace(row, submaps=replace(poses, T_map_submap=T_map_submap).packed()))
 
     service.world.context.transactions.write(work).result()
+
+
+def test_plans_are_put_underneath_pinned_listed_and_removed_from_the_command_line(service, town, client, tmp_path):
+    file, map_id = tmp_path / "ground.png", town.partition("/")[2]
+    file.write_bytes(a_png())
+
+    def revisit(*arguments):
+        done = CliRunner().invoke(app, ["plans", *arguments, "--http", service.http])
+        return done.exit_code, done.output
+
+    pins = ["--pin", "0,0=10,20", "--pin", "40,0=10,24"]
+    assert revisit("add", map_id, str(file), "--storey", "0", *pins) == (
+        0, f"{town}/plans/ground: 0.1 m a pixel, turned by 90.0 degrees counter-clockwise.\n"
+    )  # fmt: skip
+    assert revisit("pin", map_id, "ground", "--pin", "0,0=0,0", "--pin", "40,0=-8,0", "--json")[0] == 0
+    (made,) = client.plans.list(town)
+    assert (made.metres_per_pixel, made.storey) == (pytest.approx(0.2), "0")
+    code, listed = revisit("list", map_id)
+    assert code == 0 and "40 x 30" in listed and "180.0 deg" in listed
+    code, said = revisit("add", map_id, str(file), "--pin", "0,0:1,1", *pins[:2])
+    assert code != 0 and "0,0:1,1" in said
+    assert revisit("remove", map_id, "ground", "--yes")[0] == 0
+    assert client.plans.list(town) == []
