@@ -21,7 +21,7 @@ def retention(
         typer.Option(
             "--set",
             help="The policy from now on, words separated by commas: scans=all|described|none|24h, best=2, "
-            "sessions=90d, dropped=7d, rejected=30d; what it removes does not come back.",
+            "sessions=90d, dropped=7d, rejected=30d, retired=30d; what it removes does not come back.",
         ),
     ] = None,
     of_service: Annotated[bool, typer.Option("--unset", help="From now on the policy of the service.")] = False,

@@ -144,6 +144,10 @@ class RetentionPolicy(Resource):
     """Sessions that ended so many days ago and that the map does not rest on go: 1/24 to 36500."""
     rejected_days: float | None = None
     """So many days the evidence of rejected pairs stays: 1/24 to 36500."""
+    retired_days: float | None = None
+    """So many days after the end of its session a retired submap keeps its neural map, where a later drive shows its
+    place: 1/24 to 36500.
+    """
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -151,10 +155,12 @@ class RetentionOutcome(Resource):
     """How much one rule has removed, or would."""
 
     rule: str = ""
-    """SESSIONS, BEST_SUBMAPS, SCANS or REJECTED_LOOPS."""
+    """SESSIONS, BEST_SUBMAPS, SCANS, REJECTED_LOOPS or RETIRED_MAPS."""
     sessions: int = 0
     submaps: int = 0
-    """Submaps that are deleted or retired; of the rule SCANS, submaps that keep fewer scans."""
+    """Submaps that are deleted or retired; of the rule SCANS such that keep fewer scans, of RETIRED_MAPS such that lose
+    their neural map.
+    """
     scans: int = 0
     loop_closures: int = 0
     bytes: int = 0

@@ -24,7 +24,7 @@ _sym_db = _symbol_database.Default()
 
 
 
-DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n\x1arevisit/v1/retention.proto\x12\nrevisit.v1\"\xe7\x02\n\x0fRetentionPolicy\x12\x35\n\nkeep_scans\x18\x01 \x01(\x0e\x32!.revisit.v1.RetentionPolicy.Scans\x12\x19\n\x11scans_after_hours\x18\x02 \x01(\x01\x12\x19\n\x0c\x62\x65st_submaps\x18\x03 \x01(\rH\x00\x88\x01\x01\x12\x19\n\x0csession_days\x18\x04 \x01(\x01H\x01\x88\x01\x01\x12!\n\x14\x64ropped_session_days\x18\x05 \x01(\x01H\x02\x88\x01\x01\x12\x1a\n\rrejected_days\x18\x06 \x01(\x01H\x03\x88\x01\x01\"@\n\x05Scans\x12\x15\n\x11SCANS_UNSPECIFIED\x10\x00\x12\x07\n\x03\x41LL\x10\x01\x12\r\n\tDESCRIBED\x10\x02\x12\x08\n\x04NONE\x10\x03\x42\x0f\n\r_best_submapsB\x0f\n\r_session_daysB\x17\n\x15_dropped_session_daysB\x10\n\x0e_rejected_days\"\xf8\x01\n\x10RetentionOutcome\x12/\n\x04rule\x18\x01 \x01(\x0e\x32!.revisit.v1.RetentionOutcome.Rule\x12\x10\n\x08sessions\x18\x02 \x01(\r\x12\x0f\n\x07submaps\x18\x03 \x01(\r\x12\r\n\x05scans\x18\x04 \x01(\x04\x12\x15\n\rloop_closures\x18\x05 \x01(\x04\x12\r\n\x05\x62ytes\x18\x06 \x01(\x04\"[\n\x04Rule\x12\x14\n\x10RULE_UNSPECIFIED\x10\x00\x12\x0c\n\x08SESSIONS\x10\x01\x12\x10\n\x0c\x42\x45ST_SUBMAPS\x10\x02\x12\t\n\x05SCANS\x10\x03\x12\x12\n\x0eREJECTED_LOOPS\x10\x04\"\x93\x01\n\x0fRetentionReport\x12\r\n\x05\x61t_ns\x18\x01 \x01(\x03\x12+\n\x05rules\x18\x02 \x03(\x0b\x32\x1c.revisit.v1.RetentionOutcome\x12\x14\n\x0csubmaps_held\x18\x03 \x01(\r\x12\x15\n\rsessions_held\x18\x04 \x01(\r\x12\x17\n\x0f\x62ytes_estimated\x18\x05 \x01(\x08\"\x99\x02\n\x0cMapRetention\x12\x0b\n\x03map\x18\x01 \x01(\t\x12+\n\x06policy\x18\x02 \x01(\x0b\x32\x1b.revisit.v1.RetentionPolicy\x12\x0b\n\x03own\x18\x03 \x01(\x08\x12=\n\rredescription\x18\x04 \x01(\x0e\x32&.revisit.v1.MapRetention.Redescription\x12-\n\x08last_run\x18\x05 \x01(\x0b\x32\x1b.revisit.v1.RetentionReport\"T\n\rRedescription\x12\x1d\n\x19REDESCRIPTION_UNSPECIFIED\x10\x00\x12\x0e\n\nFROM_SCANS\x10\x01\x12\x14\n\x10\x46ROM_NEURAL_MAPS\x10\x02\"#\n\x13GetRetentionRequest\x12\x0c\n\x04name\x18\x01 \x01(\t\"C\n\x14GetRetentionResponse\x12+\n\tretention\x18\x01 \x01(\x0b\x32\x18.revisit.v1.MapRetention\"P\n\x13SetRetentionRequest\x12\x0c\n\x04name\x18\x01 \x01(\t\x12+\n\x06policy\x18\x02 \x01(\x0b\x32\x1b.revisit.v1.RetentionPolicy\"C\n\x14SetRetentionResponse\x12+\n\tretention\x18\x01 \x01(\x0b\x32\x18.revisit.v1.MapRetention\"T\n\x17PreviewRetentionRequest\x12\x0c\n\x04name\x18\x01 \x01(\t\x12+\n\x06policy\x18\x02 \x01(\x0b\x32\x1b.revisit.v1.RetentionPolicy\"G\n\x18PreviewRetentionResponse\x12+\n\x06report\x18\x01 \x01(\x0b\x32\x1b.revisit.v1.RetentionReport2\x97\x02\n\x10RetentionService\x12Q\n\x0cGetRetention\x12\x1f.revisit.v1.GetRetentionRequest\x1a .revisit.v1.GetRetentionResponse\x12Q\n\x0cSetRetention\x12\x1f.revisit.v1.SetRetentionRequest\x1a .revisit.v1.SetRetentionResponse\x12]\n\x10PreviewRetention\x12#.revisit.v1.PreviewRetentionRequest\x1a$.revisit.v1.PreviewRetentionResponseb\x06proto3')
+DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n\x1arevisit/v1/retention.proto\x12\nrevisit.v1\"\x93\x03\n\x0fRetentionPolicy\x12\x35\n\nkeep_scans\x18\x01 \x01(\x0e\x32!.revisit.v1.RetentionPolicy.Scans\x12\x19\n\x11scans_after_hours\x18\x02 \x01(\x01\x12\x19\n\x0c\x62\x65st_submaps\x18\x03 \x01(\rH\x00\x88\x01\x01\x12\x19\n\x0csession_days\x18\x04 \x01(\x01H\x01\x88\x01\x01\x12!\n\x14\x64ropped_session_days\x18\x05 \x01(\x01H\x02\x88\x01\x01\x12\x1a\n\rrejected_days\x18\x06 \x01(\x01H\x03\x88\x01\x01\x12\x19\n\x0cretired_days\x18\x07 \x01(\x01H\x04\x88\x01\x01\"@\n\x05Scans\x12\x15\n\x11SCANS_UNSPECIFIED\x10\x00\x12\x07\n\x03\x41LL\x10\x01\x12\r\n\tDESCRIBED\x10\x02\x12\x08\n\x04NONE\x10\x03\x42\x0f\n\r_best_submapsB\x0f\n\r_session_daysB\x17\n\x15_dropped_session_daysB\x10\n\x0e_rejected_daysB\x0f\n\r_retired_days\"\x8a\x02\n\x10RetentionOutcome\x12/\n\x04rule\x18\x01 \x01(\x0e\x32!.revisit.v1.RetentionOutcome.Rule\x12\x10\n\x08sessions\x18\x02 \x01(\r\x12\x0f\n\x07submaps\x18\x03 \x01(\r\x12\r\n\x05scans\x18\x04 \x01(\x04\x12\x15\n\rloop_closures\x18\x05 \x01(\x04\x12\r\n\x05\x62ytes\x18\x06 \x01(\x04\"m\n\x04Rule\x12\x14\n\x10RULE_UNSPECIFIED\x10\x00\x12\x0c\n\x08SESSIONS\x10\x01\x12\x10\n\x0c\x42\x45ST_SUBMAPS\x10\x02\x12\t\n\x05SCANS\x10\x03\x12\x12\n\x0eREJECTED_LOOPS\x10\x04\x12\x10\n\x0cRETIRED_MAPS\x10\x05\"\x93\x01\n\x0fRetentionReport\x12\r\n\x05\x61t_ns\x18\x01 \x01(\x03\x12+\n\x05rules\x18\x02 \x03(\x0b\x32\x1c.revisit.v1.RetentionOutcome\x12\x14\n\x0csubmaps_held\x18\x03 \x01(\r\x12\x15\n\rsessions_held\x18\x04 \x01(\r\x12\x17\n\x0f\x62ytes_estimated\x18\x05 \x01(\x08\"\x99\x02\n\x0cMapRetention\x12\x0b\n\x03map\x18\x01 \x01(\t\x12+\n\x06policy\x18\x02 \x01(\x0b\x32\x1b.revisit.v1.RetentionPolicy\x12\x0b\n\x03own\x18\x03 \x01(\x08\x12=\n\rredescription\x18\x04 \x01(\x0e\x32&.revisit.v1.MapRetention.Redescription\x12-\n\x08last_run\x18\x05 \x01(\x0b\x32\x1b.revisit.v1.RetentionReport\"T\n\rRedescription\x12\x1d\n\x19REDESCRIPTION_UNSPECIFIED\x10\x00\x12\x0e\n\nFROM_SCANS\x10\x01\x12\x14\n\x10\x46ROM_NEURAL_MAPS\x10\x02\"#\n\x13GetRetentionRequest\x12\x0c\n\x04name\x18\x01 \x01(\t\"C\n\x14GetRetentionResponse\x12+\n\tretention\x18\x01 \x01(\x0b\x32\x18.revisit.v1.MapRetention\"P\n\x13SetRetentionRequest\x12\x0c\n\x04name\x18\x01 \x01(\t\x12+\n\x06policy\x18\x02 \x01(\x0b\x32\x1b.revisit.v1.RetentionPolicy\"C\n\x14SetRetentionResponse\x12+\n\tretention\x18\x01 \x01(\x0b\x32\x18.revisit.v1.MapRetention\"T\n\x17PreviewRetentionRequest\x12\x0c\n\x04name\x18\x01 \x01(\t\x12+\n\x06policy\x18\x02 \x01(\x0b\x32\x1b.revisit.v1.RetentionPolicy\"G\n\x18PreviewRetentionResponse\x12+\n\x06report\x18\x01 \x01(\x0b\x32\x1b.revisit.v1.RetentionReport2\x97\x02\n\x10RetentionService\x12Q\n\x0cGetRetention\x12\x1f.revisit.v1.GetRetentionRequest\x1a .revisit.v1.GetRetentionResponse\x12Q\n\x0cSetRetention\x12\x1f.revisit.v1.SetRetentionRequest\x1a .revisit.v1.SetRetentionResponse\x12]\n\x10PreviewRetention\x12#.revisit.v1.PreviewRetentionRequest\x1a$.revisit.v1.PreviewRetentionResponseb\x06proto3')
 
 _globals = globals()
 _builder.BuildMessageAndEnumDescriptors(DESCRIPTOR, _globals)
@@ -32,31 +32,31 @@ _builder.BuildTopDescriptorsAndMessages(DESCRIPTOR, 'revisit.v1.retention_pb2', 
 if not _descriptor._USE_C_DESCRIPTORS:
   DESCRIPTOR._loaded_options = None
   _globals['_RETENTIONPOLICY']._serialized_start=43
-  _globals['_RETENTIONPOLICY']._serialized_end=402
-  _globals['_RETENTIONPOLICY_SCANS']._serialized_start=261
-  _globals['_RETENTIONPOLICY_SCANS']._serialized_end=325
-  _globals['_RETENTIONOUTCOME']._serialized_start=405
-  _globals['_RETENTIONOUTCOME']._serialized_end=653
-  _globals['_RETENTIONOUTCOME_RULE']._serialized_start=562
-  _globals['_RETENTIONOUTCOME_RULE']._serialized_end=653
-  _globals['_RETENTIONREPORT']._serialized_start=656
-  _globals['_RETENTIONREPORT']._serialized_end=803
-  _globals['_MAPRETENTION']._serialized_start=806
-  _globals['_MAPRETENTION']._serialized_end=1087
-  _globals['_MAPRETENTION_REDESCRIPTION']._serialized_start=1003
-  _globals['_MAPRETENTION_REDESCRIPTION']._serialized_end=1087
-  _globals['_GETRETENTIONREQUEST']._serialized_start=1089
-  _globals['_GETRETENTIONREQUEST']._serialized_end=1124
-  _globals['_GETRETENTIONRESPONSE']._serialized_start=1126
-  _globals['_GETRETENTIONRESPONSE']._serialized_end=1193
-  _globals['_SETRETENTIONREQUEST']._serialized_start=1195
-  _globals['_SETRETENTIONREQUEST']._serialized_end=1275
-  _globals['_SETRETENTIONRESPONSE']._serialized_start=1277
-  _globals['_SETRETENTIONRESPONSE']._serialized_end=1344
-  _globals['_PREVIEWRETENTIONREQUEST']._serialized_start=1346
-  _globals['_PREVIEWRETENTIONREQUEST']._serialized_end=1430
-  _globals['_PREVIEWRETENTIONRESPONSE']._serialized_start=1432
-  _globals['_PREVIEWRETENTIONRESPONSE']._serialized_end=1503
-  _globals['_RETENTIONSERVICE']._serialized_start=1506
-  _globals['_RETENTIONSERVICE']._serialized_end=1785
+  _globals['_RETENTIONPOLICY']._serialized_end=446
+  _globals['_RETENTIONPOLICY_SCANS']._serialized_start=288
+  _globals['_RETENTIONPOLICY_SCANS']._serialized_end=352
+  _globals['_RETENTIONOUTCOME']._serialized_start=449
+  _globals['_RETENTIONOUTCOME']._serialized_end=715
+  _globals['_RETENTIONOUTCOME_RULE']._serialized_start=606
+  _globals['_RETENTIONOUTCOME_RULE']._serialized_end=715
+  _globals['_RETENTIONREPORT']._serialized_start=718
+  _globals['_RETENTIONREPORT']._serialized_end=865
+  _globals['_MAPRETENTION']._serialized_start=868
+  _globals['_MAPRETENTION']._serialized_end=1149
+  _globals['_MAPRETENTION_REDESCRIPTION']._serialized_start=1065
+  _globals['_MAPRETENTION_REDESCRIPTION']._serialized_end=1149
+  _globals['_GETRETENTIONREQUEST']._serialized_start=1151
+  _globals['_GETRETENTIONREQUEST']._serialized_end=1186
+  _globals['_GETRETENTIONRESPONSE']._serialized_start=1188
+  _globals['_GETRETENTIONRESPONSE']._serialized_end=1255
+  _globals['_SETRETENTIONREQUEST']._serialized_start=1257
+  _globals['_SETRETENTIONREQUEST']._serialized_end=1337
+  _globals['_SETRETENTIONRESPONSE']._serialized_start=1339
+  _globals['_SETRETENTIONRESPONSE']._serialized_end=1406
+  _globals['_PREVIEWRETENTIONREQUEST']._serialized_start=1408
+  _globals['_PREVIEWRETENTIONREQUEST']._serialized_end=1492
+  _globals['_PREVIEWRETENTIONRESPONSE']._serialized_start=1494
+  _globals['_PREVIEWRETENTIONRESPONSE']._serialized_end=1565
+  _globals['_RETENTIONSERVICE']._serialized_start=1568
+  _globals['_RETENTIONSERVICE']._serialized_end=1847
 # @@protoc_insertion_point(module_scope)

@@ -8,7 +8,7 @@ from typing import ClassVar as _ClassVar, Optional as _Optional, Union as _Union
 DESCRIPTOR: _descriptor.FileDescriptor
 
 class RetentionPolicy(_message.Message):
-    __slots__ = ("keep_scans", "scans_after_hours", "best_submaps", "session_days", "dropped_session_days", "rejected_days")
+    __slots__ = ("keep_scans", "scans_after_hours", "best_submaps", "session_days", "dropped_session_days", "rejected_days", "retired_days")
     class Scans(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
         __slots__ = ()
         SCANS_UNSPECIFIED: _ClassVar[RetentionPolicy.Scans]
@@ -25,13 +25,15 @@ class RetentionPolicy(_message.Message):
     SESSION_DAYS_FIELD_NUMBER: _ClassVar[int]
     DROPPED_SESSION_DAYS_FIELD_NUMBER: _ClassVar[int]
     REJECTED_DAYS_FIELD_NUMBER: _ClassVar[int]
+    RETIRED_DAYS_FIELD_NUMBER: _ClassVar[int]
     keep_scans: RetentionPolicy.Scans
     scans_after_hours: float
     best_submaps: int
     session_days: float
     dropped_session_days: float
     rejected_days: float
-    def __init__(self, keep_scans: _Optional[_Union[RetentionPolicy.Scans, str]] = ..., scans_after_hours: _Optional[float] = ..., best_submaps: _Optional[int] = ..., session_days: _Optional[float] = ..., dropped_session_days: _Optional[float] = ..., rejected_days: _Optional[float] = ...) -> None: ...
+    retired_days: float
+    def __init__(self, keep_scans: _Optional[_Union[RetentionPolicy.Scans, str]] = ..., scans_after_hours: _Optional[float] = ..., best_submaps: _Optional[int] = ..., session_days: _Optional[float] = ..., dropped_session_days: _Optional[float] = ..., rejected_days: _Optional[float] = ..., retired_days: _Optional[float] = ...) -> None: ...
 
 class RetentionOutcome(_message.Message):
     __slots__ = ("rule", "sessions", "submaps", "scans", "loop_closures", "bytes")
@@ -42,11 +44,13 @@ class RetentionOutcome(_message.Message):
         BEST_SUBMAPS: _ClassVar[RetentionOutcome.Rule]
         SCANS: _ClassVar[RetentionOutcome.Rule]
         REJECTED_LOOPS: _ClassVar[RetentionOutcome.Rule]
+        RETIRED_MAPS: _ClassVar[RetentionOutcome.Rule]
     RULE_UNSPECIFIED: RetentionOutcome.Rule
     SESSIONS: RetentionOutcome.Rule
     BEST_SUBMAPS: RetentionOutcome.Rule
     SCANS: RetentionOutcome.Rule
     REJECTED_LOOPS: RetentionOutcome.Rule
+    RETIRED_MAPS: RetentionOutcome.Rule
     RULE_FIELD_NUMBER: _ClassVar[int]
     SESSIONS_FIELD_NUMBER: _ClassVar[int]
     SUBMAPS_FIELD_NUMBER: _ClassVar[int]

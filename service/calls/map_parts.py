@@ -6,11 +6,11 @@ from collections.abc import AsyncIterator
 
 import numpy as np
 
+from revisit.core.codec.map_layout import PIECE_BYTES
 from revisit.core.errors import BadField
 from revisit.service.domain import limits
 from revisit.service.domain.identity import TenantId
 from revisit.service.domain.records import MapFileRecord
-from revisit.service.features.publishing.layout import PIECE_BYTES
 from revisit.service.features.tiles.calls import MapDistances, MapPoints, MapQuestion, MapTileView
 from revisit.service.use_cases import UseCases
 from revisit.service.wire import names, requests

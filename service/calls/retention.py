@@ -13,7 +13,7 @@ from revisit.service.wire.fields import Fields, fields_of
 from revisit.service.wire.rendering import Answer
 from revisit.v1 import retention_pb2
 
-_NUMBERS = ("best_submaps", "session_days", "dropped_session_days", "rejected_days")
+_NUMBERS = ("best_submaps", "session_days", "dropped_session_days", "rejected_days", "retired_days")
 
 
 async def get_retention(cases: UseCases, tenant: TenantId, request: retention_pb2.GetRetentionRequest) -> Answer:

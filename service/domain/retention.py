@@ -34,6 +34,7 @@ class RetentionRule(StrEnum):
     BEST_SUBMAPS = "BEST_SUBMAPS"
     SCANS = "SCANS"
     REJECTED_LOOPS = "REJECTED_LOOPS"
+    RETIRED_MAPS = "RETIRED_MAPS"
 
 
 class Redescription(StrEnum):
@@ -49,6 +50,7 @@ BOUNDS = {
     "session_days": limits.RETENTION_DAYS,
     "dropped_session_days": limits.RETENTION_DAYS,
     "rejected_days": limits.RETENTION_DAYS,
+    "retired_days": limits.RETENTION_DAYS,
 }
 """The bound of each number of a `RetentionPolicy`."""
 
@@ -61,7 +63,8 @@ class RetentionPolicy:
     `best_submaps`: the best so many submaps of a place stay in the index with their blobs; the others are retired.
     `session_days`: a session that ended so many days ago goes; where the map rests on it, its submaps are retired.
     `dropped_session_days`: the same of sessions that the map does not rest on. `rejected_days`: so long the evidence of
-    rejected pairs stays.
+    rejected pairs stays. `retired_days`: so long after the end of its session a retired submap keeps its neural map,
+    where a later drive shows its place.
     """
 
     keep_scans: KeptScans = KeptScans.ALL
@@ -70,6 +73,7 @@ class RetentionPolicy:
     session_days: float | None = None
     dropped_session_days: float | None = None
     rejected_days: float | None = None
+    retired_days: float | None = None
 
     @property
     def redescription(self) -> Redescription:
@@ -110,12 +114,16 @@ _NUMBERS: Mapping[str, tuple[str, str]] = {
     "sessions": ("session_days", "d"),
     "dropped": ("dropped_session_days", "d"),
     "rejected": ("rejected_days", "d"),
+    "retired": ("retired_days", "d"),
 }
 """Word -> field and unit."""
 
 _SCANS = re.compile(r"(?P<kept>all|none|described)|((?P<some>described):)?(?P<hours>\d+(\.\d+)?)h")
 
-GRAMMAR = "scans=all|described|none|HOURSh|described:HOURSh, best=N, sessions=DAYSd, dropped=DAYSd, rejected=DAYSd"
+GRAMMAR = (
+    "scans=all|described|none|HOURSh|described:HOURSh, best=N, sessions=DAYSd, dropped=DAYSd, rejected=DAYSd, "
+    "retired=DAYSd"
+)
 
 
 def parsed(text: str) -> RetentionPolicy:

@@ -178,7 +178,7 @@ class FoundSubmap:
 @dataclass(frozen=True)
 class SubmapStanding:
     """A submap as retention looks at it: its scans `first_seq`..`last_seq` (None for a posted cloud), how far it has
-    come, which scans it keeps, and what speaks for it.
+    come, which scans it keeps, when it was taken, and what speaks for it.
     """
 
     number: int
@@ -192,6 +192,8 @@ class SubmapStanding:
     point_count: int
     flags: tuple[str, ...]
     searched: bool
+    session_number: int
+    stamp_ns: int
 
 
 class FoundSubmaps(Protocol):

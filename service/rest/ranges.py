@@ -7,10 +7,10 @@ import re
 from fastapi import Response
 from starlette.types import Receive, Scope, Send
 
+from revisit.core.codec.map_layout import PIECE_BYTES
 from revisit.service.capacity.byte_budget import ByteBudget
 from revisit.service.domain.identity import TenantId
 from revisit.service.features.publishing.calls import OpenMapFile
-from revisit.service.features.publishing.layout import PIECE_BYTES
 from revisit.service.rest.files import send_body
 
 MAP_FILE = "application/vnd.revisit.map+zip"

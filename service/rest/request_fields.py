@@ -36,6 +36,7 @@ BOUNDS: dict[str, Range] = {
     "session_days": limits.RETENTION_DAYS,
     "dropped_session_days": limits.RETENTION_DAYS,
     "rejected_days": limits.RETENTION_DAYS,
+    "retired_days": limits.RETENTION_DAYS,
     "version": limits.MAP_VERSION,
     "radius_m": limits.RADIUS_M,
     "within_m": limits.MAP_RADIUS_M,

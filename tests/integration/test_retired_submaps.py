@@ -142,7 +142,7 @@ async def first_pair(world, **fields):
     return changed
 
 
-NOTHING_KEPT = f"scans=none,best=1,rejected={1 / 24}d,dropped={1 / 24}d,sessions={1 / 24}d"
+NOTHING_KEPT = f"scans=none,best=1,rejected={1 / 24}d,dropped={1 / 24}d,sessions={1 / 24}d,retired={1 / 24}d"
 
 
 @pytest.mark.parametrize("state", [{"state": "PROPOSED"}, {"state": "REJECTED", "reason": "AMBIGUOUS"}])

@@ -14,7 +14,7 @@ from revisit.core.errors import UnsupportedEncoding
 from revisit.formats import NPY, PCD, PLY, encode_npy, encode_pcd, encode_ply, encode_ply_mesh
 from revisit.formats.glb import MEDIA_TYPE as GLB
 from revisit.formats.glb import encode_scene
-from revisit.service.domain.errors import NotFound, NotReady
+from revisit.service.domain.errors import NotFound, NotKept, NotReady
 from revisit.service.domain.records import SubmapRecord
 from revisit.service.domain.states import SubmapState
 from revisit.service.features.ingest.clouds import StoredCloud, unpack_cloud
@@ -91,9 +91,14 @@ def named(data: bytes, record: SubmapRecord, kind: DownloadKind, extension: str)
 
 
 def require_neural_map(record: SubmapRecord) -> str:
-    """The hash of a submap's neural map. Raises NotReady before it is described, NotFound where it has none."""
+    """The hash of a submap's neural map.
+
+    Raises NotReady before it is described, NotKept where retention has removed it, NotFound where it never had one.
+    """
     if record.state not in (SubmapState.DESCRIBED, SubmapState.RETIRED):
         raise NotReady
+    if record.neural_map_sha256 is None and record.state == SubmapState.RETIRED:
+        raise NotKept(f"the neural map of {record.submap_id} is not kept: its map's policy of retention removed it")
     if record.neural_map_sha256 is None:
         raise NotFound("this submap was described without a neural map")
     return record.neural_map_sha256

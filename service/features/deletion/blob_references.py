@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
+from contextlib import suppress
 
+from revisit.core.codec.map_layout import MapLayout
+from revisit.core.errors import DataLoss
 from revisit.service.domain.identity import TenantId
 from revisit.service.domain.records import MapFileRecord, MapTileRecord, PlanRecord, ScanRecord, SubmapRecord
 from revisit.service.ports.blobs import (
@@ -80,6 +83,18 @@ def forget_plan(uow: UnitOfWork, plan: PlanRecord) -> None:
     tenant = TenantId(plan.tenant)
     uow.plans.delete(tenant, number=plan.number)
     uow.blobs.release(tenant, {blob_of_plan(plan)})
+
+
+def filed_maps(files: Iterable[MapFileRecord], read: Callable[[TenantId, str, str], bytes]) -> set[str]:
+    """The hashes of the neural maps that map files name; `read` gets a blob of a tenant by kind and hash. Blocks.
+
+    A file whose layout is damaged or gone cannot be served: it names none.
+    """
+    named = set[str]()
+    for file in files:
+        with suppress(DataLoss):
+            named |= MapLayout.from_blob(read(TenantId(file.tenant), *blob_of_file(file))).neural_maps
+    return named
 
 
 def naming(uow: UnitOfWork, tenant: TenantId, blob: Blob) -> int:

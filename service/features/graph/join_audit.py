@@ -15,6 +15,7 @@ from revisit.core.pose_graph.graph import GraphState
 from revisit.service.domain.identity import TenantId
 from revisit.service.features.graph.fault_audit import Placed, decided
 from revisit.service.features.graph.reading import MapTask
+from revisit.service.features.graph.released_maps import released_maps
 from revisit.service.features.graph.session_poses import PackedSubmaps
 from revisit.service.ports.blobs import NEURAL_MAP_BLOB
 from revisit.service.ports.job_context import JobContext
@@ -84,21 +85,23 @@ class JoinAudit:
         self, task: MapTask, anchors: Iterable[tuple[TrackAnchor, ...]], progress: Progress
     ) -> list[OptimisedMap]:
         """As `solved`, by each of several sets of anchors instead of the map's own: its loops are solved once."""
-        surfaces = self._merger.surfaces(partial(_neural_map, self._context, TenantId(task.map.tenant)))
+        tenant = TenantId(task.map.tenant)
+        surfaces = self._merger.surfaces(partial(_neural_map, self._context, tenant))
+        read = partial(released_maps, tenant=tenant, map_id=task.map.map_id)
+        scale = self._context.policy.for_map(task.map).scene_scale
+        asked = partial(_Audit, scale, self._merger, task, surfaces, self._context.transactions.read(read).result())
         by_loops: dict[Refused, MapByLoops] = {}
-        return [self._solved(task, fixed, by_loops, surfaces, progress) for fixed in anchors]
+        return [self._solved(task, fixed, by_loops, asked(progress), progress) for fixed in anchors]
 
     def _solved(
         self,
         task: MapTask,
         fixed: tuple[TrackAnchor, ...],
         by_loops: dict[Refused, MapByLoops],
-        surfaces: Surfaces,
+        asked: _Audit,
         progress: Progress,
     ) -> OptimisedMap:
         """The solution by some anchors; `by_loops` keeps those without any, by the loops that are refused."""
-        scale = self._context.policy.for_map(task.map).scene_scale
-        asked = _Audit(scale, self._merger, task, surfaces, progress)
         refused: tuple[RefusedJoin, ...] = ()
         undecided: tuple[OdometryFault, ...] = ()
         while True:
@@ -124,14 +127,23 @@ class JoinAudit:
 class _Audit:
     """The audit of one map for one version; a join that it allowed it does not ask about again."""
 
-    def __init__(self, scale: float, merger: MapMerger, task: MapTask, surfaces: Surfaces, progress: Progress) -> None:
-        """`scale` is that of the scene."""
+    def __init__(
+        self,
+        scale: float,
+        merger: MapMerger,
+        task: MapTask,
+        surfaces: Surfaces,
+        released: frozenset[int],
+        progress: Progress,
+    ) -> None:
+        """`scale` is that of the scene; of the submaps that are `released` there is no neural map."""
         self._merger = merger
         self._task = task
         self._progress = progress
         self._scale = scale
         self._allowed: set[frozenset[Sessions]] = set()
         self._surfaces = surfaces
+        self._released = released
 
     def refused(self, optimised: OptimisedMap) -> tuple[RefusedJoin, ...]:
         """The joins of a solution that the surfaces speak against.
@@ -163,7 +175,7 @@ class _Audit:
         """A solution with its undecided faults of odometry mended, or without them, where the surfaces decide."""
 
         def compared(first: Placed, second: Placed) -> MergeEvidence | None:
-            return self._merger.audit(first, second, self._surfaces, self._scale, FAULT_PAIRS, self._progress)
+            return self._by_surfaces(first, second, FAULT_PAIRS)
 
         return decided(self._task, optimised, compared, self._merger.limits.scaled(self._scale))
 
@@ -172,7 +184,14 @@ class _Audit:
 
     def _compared(self, optimised: OptimisedMap, sides: frozenset[Sessions], most: int) -> MergeEvidence | None:
         first, second = (_poses(self._task, optimised, side) for side in sorted(sides, key=min))
-        return self._merger.audit(first, second, self._surfaces, self._scale, most, self._progress)
+        return self._by_surfaces(first, second, most)
+
+    def _by_surfaces(self, first: Placed, second: Placed, most: int) -> MergeEvidence | None:
+        """The surfaces of two groups of submaps, of `most` pairs; None where a group has none to compare."""
+        one, other = ({n: T for n, T in group.items() if n not in self._released} for group in (first, second))
+        if not one or not other:
+            return None
+        return self._merger.audit(one, other, self._surfaces, self._scale, most, self._progress)
 
 
 def _neural_map(context: JobContext, tenant: TenantId, number: int) -> bytes:

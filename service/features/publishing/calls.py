@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
+from revisit.core.codec.map_layout import MapLayout
 from revisit.core.errors import BadField
 from revisit.service.capacity.backlog import same_job
 from revisit.service.domain import limits
@@ -19,7 +20,6 @@ from revisit.service.features.audit import calls as audit
 from revisit.service.features.audit.calls import AuditEntry
 from revisit.service.features.deletion.blob_references import forget_file
 from revisit.service.features.optimisation.calls import version_seen
-from revisit.service.features.publishing.layout import MapLayout
 from revisit.service.features.resources.call_context import CallContext
 from revisit.service.features.resources.paging import Page, PageRequest, as_it_is
 from revisit.service.features.resources.views import PostedOperation

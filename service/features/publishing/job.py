@@ -10,6 +10,7 @@ from typing import IO, Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
+from revisit.core.codec.map_layout import LayoutRecorder, MapLayout
 from revisit.core.geometry import se3
 from revisit.core.geometry.se3 import Matrix4, pose_matrix
 from revisit.formats.map_file import FiledSubmap, MapDescription, write_map
@@ -25,7 +26,6 @@ from revisit.service.features.deletion.blob_references import forget_file
 from revisit.service.features.graph.session_poses import PackedSubmaps
 from revisit.service.features.operations.unchanged import unchanged
 from revisit.service.features.optimisation.calls import version_seen
-from revisit.service.features.publishing.layout import LayoutRecorder, MapLayout
 from revisit.service.features.tiles.rows import submaps_numbered
 from revisit.service.ports.blobs import MAP_LAYOUT_BLOB, NEURAL_MAP_BLOB
 from revisit.service.ports.job_context import JobContext

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
+from revisit.core.merge.evidence import in_time
 from revisit.service.domain.events import AMBIGUOUS
 from revisit.service.domain.records import LoopRecord, MapRecord, ScanRecord, SessionRecord
 from revisit.service.domain.retention import DAY_NS, RetentionPolicy
 from revisit.service.domain.states import LoopState, SessionState, SubmapState
+from revisit.service.features.graph.released_maps import released_maps
 from revisit.service.features.graph.session_poses import PackedSubmaps, unpack_loops
-from revisit.service.features.retention.rules import LESS, RankedSubmap, retired
+from revisit.service.features.retention.rules import LESS, PlacedView, RankedSubmap, last_views, retired
 from revisit.service.ports.transactions import UnitOfWork
 
 OVERRULED = "OVERRULED"
@@ -172,18 +174,68 @@ def _ranked(uow: UnitOfWork, record: MapRecord) -> list[RankedSubmap]:
         for one in uow.submaps.standings(record.tenant, record.map_id)
         if one.state == SubmapState.DESCRIBED
     }
-    storeys = {one.session_id: one.storey for one in uow.sessions.find(record.tenant, map_id=record.map_id)}
     scores = _mean_scores(uow, record)
-    ranked = []
+    return [
+        RankedSubmap(number, *place, bool(one.flags), scores.get(number, 0.0), one.point_count)
+        for number, place in _places(uow, record)
+        if (one := standings.get(number)) is not None
+    ]
+
+
+def _places(
+    uow: UnitOfWork, record: MapRecord
+) -> Iterator[tuple[int, tuple[str, str | None, tuple[float, float, float]]]]:
+    """The submaps of the version of a map in force: number, frame, storey and position in the frame, metres."""
+    storeys = {one.session_id: one.storey for one in uow.sessions.find(record.tenant, map_id=record.map_id)}
     for row in uow.session_poses.find(record.tenant, map_id=record.map_id, version=record.map_version):
         packed = PackedSubmaps.of(row.submaps)
         for number, T_map_submap in zip(packed.numbers.tolist(), packed.T_map_submap, strict=True):
-            one = standings.get(number)
-            if one is not None:
-                x, y, z = T_map_submap[:3, 3].tolist()
-                of = (row.frame, storeys.get(row.session_id), (x, y, z), bool(one.flags))
-                ranked.append(RankedSubmap(number, *of, scores.get(number, 0.0), one.point_count))
-    return ranked
+            x, y, z = T_map_submap[:3, 3].tolist()
+            yield number, (row.frame, storeys.get(row.session_id), (x, y, z))
+
+
+def due_maps(
+    uow: UnitOfWork,
+    record: MapRecord,
+    policy: RetentionPolicy,
+    edge_m: float,
+    now_ns: int,
+    *,
+    retiring: Collection[int] = (),
+    leaving: Collection[str] = (),
+) -> list[int]:
+    """The numbers of the retired submaps that keep their neural map no longer, by the version in force.
+
+    Of the sessions whose days are over the newest neural map of each square of `edge_m` metres stays, whichever submap
+    has it: so the surface of now, and of each moment since, is told by the last view of each place. In a dry run
+    submaps that are `retiring` count as retired, sessions `leaving` as gone.
+    """
+    if policy.retired_days is None or not record.map_version:
+        return []
+    old = _ended_before(uow, record, now_ns - int(policy.retired_days * DAY_NS))
+    without = released_maps(uow, record.tenant, record.map_id)
+    standings = {
+        one.number: one
+        for one in uow.submaps.standings(record.tenant, record.map_id)
+        if one.state in (SubmapState.DESCRIBED, SubmapState.RETIRED)
+        and one.number not in without
+        and one.session_id in old - set(leaving)
+    }
+    gone = {one.number for one in standings.values() if one.state == SubmapState.RETIRED or one.number in retiring}
+    if not gone:
+        return []
+    views = [
+        PlacedView(number, *place, in_time(one.session_number, one.stamp_ns))
+        for number, place in _places(uow, record)
+        if (one := standings.get(number)) is not None
+    ]
+    return sorted(gone.intersection(view.number for view in views) - last_views(views, edge_m))
+
+
+def _ended_before(uow: UnitOfWork, record: MapRecord, before_ns: int) -> set[str]:
+    """The ids of the finished sessions of a map that had ended by then."""
+    finished = uow.sessions.find(record.tenant, map_id=record.map_id, state=SessionState.FINISHED.value)
+    return {one.session_id for one in finished if one.finished_at_ns is not None and one.finished_at_ns <= before_ns}
 
 
 def _mean_scores(uow: UnitOfWork, record: MapRecord) -> dict[int, float]:

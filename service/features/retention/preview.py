@@ -12,7 +12,7 @@ from revisit.service.domain.identity import TenantId
 from revisit.service.domain.policy import Policy
 from revisit.service.domain.records import MapRecord, ScanRecord, SessionRecord, SubmapRecord
 from revisit.service.domain.retention import KeptScans, RetentionPolicy, RetentionRule
-from revisit.service.features.deletion.blob_references import blobs_of_scans, blobs_of_submap, naming
+from revisit.service.features.deletion.blob_references import blobs_of_scans, blobs_of_submap, filed_maps, naming
 from revisit.service.features.ingest.rows import described_scans
 from revisit.service.features.retention import due
 from revisit.service.features.retention.removal import portions
@@ -75,6 +75,7 @@ class Preview:
         stride_m = self._rules.for_map(self._map).submap.stride
         best = self._read(partial(due.due_retirements, record=record, policy=policy, within_m=stride_m))
         self._retire(RetentionRule.BEST_SUBMAPS, set(best) - self._going.retiring, held.retired)
+        self._retired_maps(now_ns, stride_m, held.retired)
         for session in self._read(lambda uow: uow.sessions.find(record.tenant, map_id=record.map_id)):
             if session.session_id not in self._going.sessions:
                 self._read(partial(self._scans, session=session, now_ns=now_ns, held=held.released))
@@ -126,6 +127,21 @@ class Preview:
                 if kind != NEURAL_MAP_BLOB:
                     self._going.blob(rule, (kind, sha256))
         self._tally.add(rule, submaps=len(gone), bytes=len(gone) * SUBMAP_ROW_BYTES)
+
+    def _retired_maps(self, now_ns: int, edge_m: float, held: frozenset[int]) -> None:
+        """Count neural maps of retired submaps that would go, also of such that would be retired now."""
+        read = partial(due.due_maps, record=self._map, policy=self._policy, edge_m=edge_m, now_ns=now_ns)
+        numbers = set(self._read(partial(read, retiring=self._going.retiring, leaving=self._going.sessions)))
+        self._held_back |= held & numbers
+        files = self._read(lambda uow: uow.map_files.find(self._map.tenant, map_id=self._map.map_id))
+        filed = filed_maps(files, self._blobs.get) if numbers else set[str]()
+        count = 0
+        for some in portions(sorted(numbers - held), AT_ONCE):
+            for submap in self._read(partial(_numbered, tenant=self._map.tenant, numbers=some)).values():
+                if submap.neural_map_sha256 is not None and submap.neural_map_sha256 not in filed:
+                    self._going.blob(RetentionRule.RETIRED_MAPS, (NEURAL_MAP_BLOB, submap.neural_map_sha256))
+                    count += 1
+        self._tally.add(RetentionRule.RETIRED_MAPS, submaps=count)
 
     def _scans(self, uow: UnitOfWork, session: SessionRecord, now_ns: int, held: frozenset[int]) -> None:
         """Count the scans of a session that would go, with the retired submaps, and with those that are due."""

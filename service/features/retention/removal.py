@@ -6,7 +6,7 @@ has named for an hour are collected. A kill in between leaves rows that nobody a
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import islice
 from typing import TypeVar
@@ -24,7 +24,7 @@ from revisit.service.features.ingest.rows import described_scans
 from revisit.service.features.loops.rows import decided_by_person
 from revisit.service.features.retention.due import AWAITING, ENDS, map_rests_on
 from revisit.service.features.retention.rules import LESS, HeldScans
-from revisit.service.ports.blobs import CLOUD_BLOB, PLACE_BLOB, Blob
+from revisit.service.ports.blobs import CLOUD_BLOB, NEURAL_MAP_BLOB, PLACE_BLOB, Blob
 from revisit.service.ports.transactions import UnitOfWork
 
 ACTOR = "retention"
@@ -94,6 +94,22 @@ def _without_place(submap: SubmapRecord) -> SubmapRecord:
         cloud_sha256=None,
         kept_scans=KeptScans.NONE.value,
     )
+
+
+def release_maps(uow: UnitOfWork, record: MapRecord, numbers: Sequence[int], filed: Collection[str]) -> Removed:
+    """Retired submaps lose their neural maps, but for those that are `filed`, by hash."""
+    waiting = _newly_awaiting(uow, record)
+    due = [
+        one
+        for one in uow.submaps.numbered(record.tenant, numbers).values()
+        if one.state == SubmapState.RETIRED
+        and one.neural_map_sha256 is not None
+        and one.neural_map_sha256 not in filed
+        and one.number not in waiting
+    ]
+    uow.submaps.revise(due, neural_map_sha256=None, neural_map_bytes=None)
+    doomed = {(NEURAL_MAP_BLOB, str(one.neural_map_sha256)) for one in due}
+    return _released(uow, record.tenant, len(due), doomed)
 
 
 def release(uow: UnitOfWork, record: MapRecord, numbers: Sequence[int], kept: KeptScans, rules: Policy) -> Removed:

@@ -64,6 +64,31 @@ def _nearer(places: list[tuple[float, float, float]], position_m: tuple[float, f
     return int((np.linalg.norm(np.array(places) - position_m, axis=1) < within_m).sum())
 
 
+@dataclass(frozen=True)
+class PlacedView:
+    """A submap with a neural map in a frame of its map; `time` orders those of one place (`merge.evidence.in_time`)."""
+
+    number: int
+    frame: str
+    storey: str | None
+    position_m: tuple[float, float, float]
+    time: tuple[int, int, int]
+
+
+def last_views(views: Iterable[PlacedView], edge_m: float) -> set[int]:
+    """The numbers of the submaps that show their place last: the newest of each square of `edge_m` metres.
+
+    Squares are those of one frame and storey, seen from above.
+    """
+    last = dict[Any, PlacedView]()
+    for one in views:
+        place = (one.frame, one.storey, *np.floor(np.array(one.position_m[:2]) / edge_m).astype(int).tolist())
+        known = last.get(place)
+        if known is None or known.time < one.time:
+            last[place] = one
+    return {one.number for one in last.values()}
+
+
 def due_for_release(
     standings: Iterable[SubmapStanding], policy: RetentionPolicy, now_ns: int, held: Collection[int]
 ) -> list[int]:

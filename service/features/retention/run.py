@@ -14,13 +14,13 @@ import structlog
 from revisit.service.domain.events import EventRecord
 from revisit.service.domain.identity import TenantId
 from revisit.service.domain.policy import Policy
-from revisit.service.domain.records import LoopRecord, MapRecord, ScanRecord, SessionRecord
+from revisit.service.domain.records import LoopRecord, MapFileRecord, MapRecord, ScanRecord, SessionRecord
 from revisit.service.domain.retention import KEEPS_ALL, KeptScans, RetentionPolicy, RetentionRule
 from revisit.service.domain.states import EventKind, SessionState
 from revisit.service.failpoints import failpoint
 from revisit.service.features.audit import calls as audit
 from revisit.service.features.audit.calls import AuditEntry
-from revisit.service.features.deletion.blob_references import naming
+from revisit.service.features.deletion.blob_references import filed_maps, naming
 from revisit.service.features.retention import due, removal
 from revisit.service.features.retention.preview import Preview
 from revisit.service.features.retention.removal import Removed, portions
@@ -82,6 +82,7 @@ class Retention:
             await run.best_submaps()
         if not run.held_back:
             self._ranked[record.number] = ranked
+        await run.retired_maps()
         await run.scans(leftovers=record.number not in self._known)
         await run.rejected_loops()
         self._known.add(record.number)
@@ -149,6 +150,24 @@ class _Run:
             self._tally.add(rule, submaps=removed, bytes=freed + removed * SUBMAP_ROW_BYTES)
             sessions = await self._storage.read(partial(_sessions_of, tenant=self._map.tenant, numbers=some))
             self._touched |= dict.fromkeys(sessions - self._touched.keys(), rule)
+
+    async def retired_maps(self) -> None:
+        """Remove neural maps of retired submaps whose place a later drive shows."""
+        if self._policy.retired_days is None:
+            return
+        edge_m = self._rules.for_map(self._map).submap.stride
+        read = partial(due.due_maps, record=self._map, policy=self._policy, edge_m=edge_m, now_ns=self._now_ns)
+        numbers = await self._storage.read(read)
+        if not numbers:
+            return
+        held = (await self._under_review()).retired
+        self.held_back |= held.intersection(numbers)
+        files = await self._storage.read(partial(_files, record=self._map))
+        filed = await asyncio.to_thread(filed_maps, files, self._storage.blobs.get)
+        release = partial(removal.release_maps, record=self._map, filed=filed)
+        for some in portions((one for one in numbers if one not in held), removal.SUBMAPS):
+            removed, freed = await self._removed(partial(release, numbers=some))
+            self._tally.add(RetentionRule.RETIRED_MAPS, submaps=removed, bytes=freed)
 
     async def scans(self, *, leftovers: bool) -> None:
         """Remove scans; with `leftovers` also such as an earlier process has left behind."""
@@ -231,6 +250,10 @@ def _map_page(uow: UnitOfWork, after: int) -> list[MapRecord]:
 
 def _active_sessions(uow: UnitOfWork, record: MapRecord) -> int:
     return uow.sessions.count(record.tenant, map_id=record.map_id, state=SessionState.ACTIVE.value)
+
+
+def _files(uow: UnitOfWork, record: MapRecord) -> list[MapFileRecord]:
+    return uow.map_files.find(record.tenant, map_id=record.map_id)
 
 
 def _sessions_of(uow: UnitOfWork, tenant: TenantId, numbers: Sequence[int]) -> set[str]:

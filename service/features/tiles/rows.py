@@ -12,10 +12,11 @@ from numpy.typing import NDArray
 from revisit.core.config import PipelineConfig
 from revisit.core.geometry.tile_grid import TileGrid
 from revisit.core.merge.evidence import in_time
-from revisit.service.domain.errors import NotFound
+from revisit.service.domain.errors import NotFound, NotKept
 from revisit.service.domain.identity import TenantId
 from revisit.service.domain.policy import Policy
 from revisit.service.domain.records import SessionPosesRecord, SubmapRecord
+from revisit.service.features.graph.released_maps import released_maps
 from revisit.service.features.graph.session_poses import PackedSubmaps
 from revisit.service.ports.map_merger import PlacedSubmapMap
 from revisit.service.ports.map_tiles import TileKey, stored_tile
@@ -29,6 +30,9 @@ _PLACES = 5
 """Along an edge of a tile: so large is a place, at which the latest submaps come first."""
 
 _NUMBERED_AT_ONCE = 1000
+
+SHOWN_STRIDES = 2.0
+"""Within so many strides is the map that shows a place last: kept in a square of one, which later versions move."""
 
 
 @dataclass(frozen=True)
@@ -86,13 +90,19 @@ class TilePlan:
 
 @dataclass(frozen=True)
 class Tiling:
-    """The frames of a version of a map, and the grid over each of them."""
+    """The frames of a version of a map, and the grid over each of them.
+
+    `stride_m` lies between two submaps of a drive; `released` are the numbers of those whose neural maps retention has
+    removed.
+    """
 
     map_id: str
     version: int
     grid: TileGrid
     reach_m: float
     frames: tuple[PlacedFrame, ...]
+    stride_m: float
+    released: frozenset[int]
 
     def is_of(self, other: Tiling) -> bool:
         """Whether both are of the same submaps: poses come from the version."""
@@ -100,11 +110,11 @@ class Tiling:
         return numbers[0] == numbers[1]
 
     def tiles(self) -> list[tuple[TileKey, int]]:
-        """Every tile that a submap may reach into, with how many do, by frame, column and row."""
+        """Every tile that a submap with a neural map may reach into, with how many do, by frame, column and row."""
         return [
             (TileKey(self.map_id, self.version, one.frame, cell), len(rows))
             for one in self.frames
-            for cell, rows in self.grid.reached(one.positions, self.reach_m).items()
+            for cell, rows in self.grid.reached(one.positions[~self.is_released(one)], self.reach_m).items()
         ]
 
     def frame(self, name: str) -> PlacedFrame:
@@ -116,12 +126,21 @@ class Tiling:
         return found[0]
 
     def reaching(self, key: TileKey) -> NDArray[np.int64]:
-        """The submaps of its frame that may reach into a tile, the nearest to its middle first."""
+        """The submaps with a neural map of its frame that may reach into a tile, the nearest to its middle first."""
+        rows = self.all_reaching(key)
+        return rows[~self.is_released(self.frame(key.frame))[rows]] if len(rows) else rows
+
+    def is_released(self, frame: PlacedFrame) -> NDArray[np.bool_]:
+        """Which submaps of a frame have no neural map any more (n,)."""
+        return np.isin(frame.numbers, list(self.released))
+
+    def all_reaching(self, key: TileKey, beyond_m: float = 0.0) -> NDArray[np.int64]:
+        """The same with those that have no neural map any more, and with such as are up to `beyond_m` farther away."""
         known = [one for one in self.frames if one.frame == key.frame]
         if not known:
             return np.zeros(0, np.int64)
         gaps = self.grid.distances_m(key.cell, known[0].positions)
-        rows = np.flatnonzero(gaps <= self.reach_m)
+        rows = np.flatnonzero(gaps <= self.reach_m + beyond_m)
         middle = np.linalg.norm(known[0].positions[rows, :2] - self.grid.centre(key.cell)[:2], axis=1)
         return np.asarray(rows[np.lexsort((rows, middle))])
 
@@ -137,7 +156,9 @@ def read_tiling(uow: UnitOfWork, policy: Policy, tenant: TenantId, map_id: str, 
     for row in sorted(rows, key=lambda poses: poses.session_number):
         parts.setdefault(row.frame, []).append(row)
     frames = tuple(_joined(name, parts[name]) for name in sorted(parts))
-    return Tiling(map_id, version, grid_of(config), config.submap.surface_reach_m(config.scene_scale), frames)
+    reach_m = config.submap.surface_reach_m(config.scene_scale)
+    released = released_maps(uow, tenant, map_id)
+    return Tiling(map_id, version, grid_of(config), reach_m, frames, config.submap.stride, released)
 
 
 def grid_of(config: PipelineConfig) -> TileGrid:
@@ -146,15 +167,22 @@ def grid_of(config: PipelineConfig) -> TileGrid:
 
 
 def read_plan(uow: UnitOfWork, policy: Policy, tenant: TenantId, key: TileKey) -> TilePlan:
-    """The sources of a tile. Raises NotFound for a version that is gone or a tile that no submap reaches."""
+    """The sources of a tile.
+
+    Raises NotFound for a version that is gone or a tile that no submap reaches, NotKept for a moment of which retention
+    has left no view.
+    """
     tiling = read_tiling(uow, policy, tenant, key.map_id, key.version)
     rows = tiling.reaching(key)
+    if not len(rows) and len(tiling.all_reaching(key)):
+        raise NotKept(f"the map's policy of retention has removed all neural maps that reach tile {key.tile_id!r}")
     if not len(rows):
         raise NotFound(f"there is no tile {key.tile_id!r} in version {key.version} of map {key.map_id!r}"[:200])
     x, y, z = tiling.grid.centre(key.cell).tolist()
     frame, moment = tiling.frame(key.frame), key.moment
     drives = len(set(frame.sessions[rows].tolist()))
     if moment.as_of_ns is not None:
+        _require_kept(uow, tenant, tiling, key)
         rows, as_of_ns = _by_then(uow, tenant, frame, rows, moment.as_of_ns)
         moment = replace(moment, as_of_ns=as_of_ns)
     if not moment.ever and drives > 1 and len(rows) > MOST_SUBMAPS:
@@ -182,6 +210,29 @@ def _by_then(
     stamps_ns = _stamps_ns(uow, tenant, frame, rows)
     by_then = stamps_ns <= as_of_ns
     return rows[by_then], None if by_then.all() else int(stamps_ns[by_then].max(initial=0))
+
+
+def _require_kept(uow: UnitOfWork, tenant: TenantId, tiling: Tiling, key: TileKey) -> None:
+    """Raises NotKept where the map that showed a place last by the moment of a tile is gone."""
+    frame, near_m = tiling.frame(key.frame), SHOWN_STRIDES * tiling.stride_m
+    released = tiling.is_released(frame)
+    if not released[tiling.all_reaching(key)].any():
+        return
+    rows = tiling.all_reaching(key, near_m)
+    stamps_ns = _stamps_ns(uow, tenant, frame, rows)
+    by_then = stamps_ns <= (key.moment.as_of_ns or 0)
+    rows, stamps_ns = rows[by_then], stamps_ns[by_then]
+    gone, places = released[rows], frame.positions[rows, :2]
+    kept_ns, kept = stamps_ns[~gone], places[~gone]
+    shown = [
+        (np.linalg.norm(kept[kept_ns >= stamp_ns] - place, axis=1) < near_m).any()
+        for place, stamp_ns in zip(places[gone], stamps_ns[gone], strict=True)
+    ]
+    if not all(shown):
+        raise NotKept(
+            f"the map's policy of retention has removed {len(shown) - sum(shown)} neural maps of that moment that tile "
+            f"{key.tile_id!r} was made of"
+        )
 
 
 def _latest(

@@ -22,6 +22,7 @@ ALL_OF_IT = RetentionPolicy(
     session_days=90.0,
     dropped_session_days=7.5,
     rejected_days=30.0,
+    retired_days=365.0,
 )
 NO_SCANS = RetentionPolicy(keep_scans="NONE", scans_after_hours=24.0)
 
@@ -65,6 +66,7 @@ def test_a_dry_run_changes_nothing(client, town):
         ("session_days", 0.0),
         ("dropped_session_days", 1e9),
         ("rejected_days", 0.01),
+        ("retired_days", 0.0),
     ],
 )
 def test_values_out_of_bounds_are_refused(client, town, field, bad):

@@ -43,6 +43,11 @@ class MapLayout:
         """Bytes of the file."""
         return self._starts[-1]
 
+    @property
+    def neural_maps(self) -> set[str]:
+        """The hashes of those that are named."""
+        return {part.sha256 for part in self._parts if part.sha256}
+
     def pieces(self, read: Callable[[str], bytes], start: int = 0, end: int | None = None) -> Iterator[bytes]:
         """The bytes from `start` to before `end` in pieces; `read` gets a neural map by its hash.
 
