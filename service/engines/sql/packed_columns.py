@@ -1,4 +1,4 @@
-"""Columns of which a database has very many, packed: poses, and the evidence of rejected pairs (docs/decisions/0091).
+"""Columns of which a database has very many, packed: poses, and the evidence of pairs (docs/decisions/0091).
 
 Columns of an earlier version are JSON, and are read as such.
 """
@@ -14,6 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 from sqlalchemy import Dialect, LargeBinary
 from sqlalchemy.types import TypeDecorator
+
+from revisit.service.engines.sql import packed_evidence
 
 Pose = tuple[float, ...]
 
@@ -46,7 +48,7 @@ class PackedPose(TypeDecorator[Pose]):
 
 class PackedEvidence(TypeDecorator[dict[str, Any]]):
     """JSON, in less than 100 bytes where it is no more than the evidence kept of a rejected pair, or the rules that
-    gave a verdict.
+    gave a verdict; in 400 or so where it has a measured covariance (`packed_evidence`).
     """
 
     impl = LargeBinary
@@ -56,12 +58,15 @@ class PackedEvidence(TypeDecorator[dict[str, Any]]):
         """The evidence in few bytes, or as JSON."""
         if value is None:
             return None
-        return packed_brief(value) or json.dumps(value, separators=(",", ":")).encode()
+        data = packed_brief(value) or packed_evidence.packed(value)
+        return data or json.dumps(value, separators=(",", ":")).encode()
 
     def process_result_value(self, value: bytes | None, dialect: Dialect) -> dict[str, Any] | None:
         """The evidence."""
         if value is None:
             return None
+        if value[:1] == packed_evidence.FORM:
+            return packed_evidence.unpacked(value)
         return unpacked_brief(value) if value[:1] in (_OF_PAIR, _OF_RULES) else dict(json.loads(value))
 
 
@@ -72,6 +77,8 @@ class MeasuredCovariance(PackedEvidence):
 
     def process_result_value(self, value: bytes | None, dialect: Dialect) -> dict[str, Any] | None:
         """Evidence with the covariance; all of it where that is packed, or is not told by its name alone."""
+        if value is not None and value[:1] == packed_evidence.FORM:
+            return {"measurement": {"covariance": packed_evidence.covariance_of(value)}}
         if value is None or value[:1] in (_OF_PAIR, _OF_RULES) or value.count(_COVARIANCE) != 1:
             return super().process_result_value(value, dialect)
         covariance, _ = _JSON.raw_decode(value.decode(), value.index(_COVARIANCE) + len(_COVARIANCE))

@@ -9,7 +9,13 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from revisit.service.engines.sql.packed_columns import PackedEvidence, PackedPose, packed_brief, unpacked_brief
+from revisit.service.engines.sql.packed_columns import (
+    MeasuredCovariance,
+    PackedEvidence,
+    PackedPose,
+    packed_brief,
+    unpacked_brief,
+)
 
 POSE = (*np.random.default_rng(3).normal(size=12).tolist(), 0.0, 0.0, 0.0, 1.0)
 DIALECT = None  # neither type asks for it
@@ -96,3 +102,58 @@ def test_a_pose_takes_97_bytes_and_keeps_every_bit():
 def test_what_an_earlier_version_wrote_as_json_is_read():
     assert PackedPose().process_result_value(json.dumps(POSE).encode(), DIALECT) == POSE
     assert PackedEvidence().process_result_value(json.dumps(brief()).encode(), DIALECT) == brief()
+
+
+def measured(seed: int = 0, **changed) -> dict:
+    """What is kept of an accepted loop."""
+    shares = np.random.default_rng(seed).uniform(size=6).tolist()
+    names = ("similarity", "inlier_ratio", "overlap", "contrast", "seen_through", "score")
+    matrices = {"T_match_query": np.reshape(POSE, (4, 4)).tolist(), "covariance": covariance(seed).tolist()}
+    own = {**dict(zip(names, shares, strict=True)), "inliers": 5, **matrices, "rivals": []}
+    known = {**brief(), "distinctiveness": {"compared": 9, "passing": 2, "other_spots": 0}}
+    return {**known, "measurement": {**own, **changed}}
+
+
+def read_back(evidence: dict) -> dict:
+    return PackedEvidence().process_result_value(stored(evidence), DIALECT)
+
+
+def test_the_evidence_of_an_accepted_loop_takes_a_third_of_its_json_and_is_read_back_to_the_bit():
+    known = measured()
+    assert len(stored(known)) < len(json.dumps(known, separators=(",", ":"))) / 3
+    assert json.dumps(read_back(known)) == json.dumps(known)
+    assert stored(known)[:1] == b"\x03", "stored by an earlier version: other bytes are another form"
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.lists(st.floats(allow_nan=False, allow_infinity=False, width=64), min_size=36, max_size=36), st.booleans())
+@example([-0.0] * 36, True)
+def test_any_covariance_is_read_back_to_the_bit_by_evidence_and_by_pose_graphs(numbers, symmetric):
+    matrix = np.reshape(numbers, (6, 6))
+    matrix = np.tril(matrix) + np.tril(matrix, -1).T if symmetric else matrix
+    known = measured(covariance=matrix.tolist())
+    assert json.dumps(read_back(known)) == json.dumps(known)
+    graph = MeasuredCovariance().process_result_value(stored(known), DIALECT)
+    assert json.dumps(graph["measurement"]["covariance"]) == json.dumps(matrix.tolist())
+
+
+@pytest.mark.parametrize(
+    "changed",
+    [
+        {"T_match_query": None},
+        {"T_match_query": [[1.0, 0.0], [0.0, 1.0]]},
+        {"T_match_query": np.full((4, 4), 0.5).tolist()},
+        {"covariance": None},
+        {"covariance": [[None] * 6] * 6},
+        {"covariance": [[0] * 6] * 6},
+        {"rivals": [{"overlap": 0.25, "T_match_query": np.eye(4).tolist()}], "note": "geprüft"},
+    ],
+)
+def test_evidence_of_any_other_shape_is_kept_as_it_is(changed):
+    known = measured(**changed)
+    assert read_back(known) == known
+
+
+def test_evidence_that_was_stored_as_json_is_read():
+    known = measured()
+    assert PackedEvidence().process_result_value(json.dumps(known).encode(), DIALECT) == known
