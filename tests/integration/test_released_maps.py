@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 
@@ -12,15 +11,13 @@ from revisit.service.domain.errors import NotKept
 from revisit.service.domain.identity import SessionKey
 from revisit.service.domain.retention import RetentionRule, parsed
 from revisit.service.domain.states import SubmapState
-from revisit.service.failpoints import FailpointReached, arm
 from revisit.service.features.catalogue.downloads import DownloadKind
 from revisit.service.features.graph.released_maps import released_maps
 from revisit.service.features.resources.paging import PageRequest
 from revisit.service.features.retention.rules import PlacedView, last_views
-from revisit.service.features.upkeep.sweeping import collect, sweep
 from revisit.service.ports.blobs import NEURAL_MAP_BLOB
 from revisit.service.ports.map_tiles import Moment
-from tests.support.retained import DAY_MS, after_a_restart, last_run, policy_set, retained
+from tests.support.retained import DAY_MS, cut_off_and_finished, last_run, policy_set, retained
 from tests.support.service_world import (
     SESSION,
     TENANT,
@@ -178,13 +175,7 @@ async def test_a_release_that_was_cut_off_is_finished_by_the_next_process(tmp_pa
     await twice_driven(world)
     await retained(world, "best=1")
     await policy_set(world, RELEASED)
-    arm(f"{point}=raise@1")
-    with suppress(FailpointReached):
-        await retained(world)
-    arm("")
-    await after_a_restart(world).all()
-    await sweep(world.context.storage, 0.0)
-    await collect(world.context.storage, 0.0)
+    await cut_off_and_finished(world, f"{point}=raise@1")
     named = {row.neural_map_sha256 for row in rows_of(world).values()} - {None}
     stored = {one.sha256 for one in world.context.blobs.stored(0.0) if one.kind == NEURAL_MAP_BLOB}
     assert released(world) and stored == named and await last_run(world)

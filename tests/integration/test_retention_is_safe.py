@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 
 import pytest
 
@@ -10,14 +10,12 @@ from revisit.service.domain.identity import SessionKey
 from revisit.service.domain.retention import RetentionRule, parsed
 from revisit.service.domain.states import EventKind
 from revisit.service.engines.local.sqlite.transactions import SqliteTransactions
-from revisit.service.failpoints import FailpointReached, arm
 from revisit.service.features.events.calls import events_of
 from revisit.service.features.retention.reports import SCAN_ROW_BYTES, RetentionReport
-from revisit.service.features.upkeep.sweeping import collect, sweep
 from tests.support.retained import (
     DAY_MS,
-    after_a_restart,
     blobs_of,
+    cut_off_and_finished,
     disk_bytes,
     driven,
     kept_scans,
@@ -53,13 +51,7 @@ async def driven_and_due(world, scans: int = SCANS) -> None:
 async def test_a_run_that_was_cut_off_is_finished_by_the_next_process(world, point, nth):
     await driven_and_due(world)
     await policy_set(world, ALL_RULES)
-    arm(f"{point}=raise@{nth}")
-    with suppress(FailpointReached):
-        await retained(world)
-    arm("")
-    await after_a_restart(world).all()
-    await sweep(world.context.storage, 0.0)
-    await collect(world.context.storage, 0.0)
+    await cut_off_and_finished(world, f"{point}=raise@{nth}")
     assert stored_seqs(world) == [] and set(kept_scans(world)) == {"NONE"}
     assert blobs_of(world, "cloud") == 0
     assert run(world.home / "revisit.db", "PRAGMA foreign_key_check") == []

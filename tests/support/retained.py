@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from pathlib import Path
 
 from revisit.service.domain.identity import SessionKey, SubmapKey, TenantId
 from revisit.service.domain.retention import parsed
+from revisit.service.failpoints import FailpointReached, arm
 from revisit.service.features.retention.reports import RetentionReport
 from revisit.service.features.retention.run import Retention
-from revisit.service.features.upkeep.sweeping import collect
+from revisit.service.features.upkeep.sweeping import collect, sweep
 from tests.support.service_world import SESSION, TENANT, World, open_session, scan
 
 HOUR_MS = 3_600_000
@@ -55,6 +57,17 @@ def after_a_restart(world: World) -> Retention:
     """Retention as another process begins it."""
     context = world.context
     return Retention(context.storage, context.clock, context.policy)
+
+
+async def cut_off_and_finished(world: World, failpoint: str) -> None:
+    """A run that ends at a failpoint, and what the next process makes of it; blobs are collected without their hour."""
+    arm(failpoint)
+    with suppress(FailpointReached):
+        await retained(world)
+    arm("")
+    await after_a_restart(world).all()
+    await sweep(world.context.storage, 0.0)
+    await collect(world.context.storage, 0.0)
 
 
 def stored_seqs(world: World, session: SessionKey = SESSION, tenant: TenantId = TENANT) -> list[int]:
