@@ -56,6 +56,17 @@ export async function send(path, body = {}) {
   return (await checked(answer)).json();
 }
 
+/** Ask the service to keep a file: POST with its bytes as body. */
+export async function sendFile(path, file, type) {
+  const answer = await fetch(path, { method: "POST", headers: { ...headers("application/json"), "content-type": type }, body: file });
+  return (await checked(answer)).json();
+}
+
+/** Ask the service to delete something. */
+export async function remove(path) {
+  await checked(await fetch(path, { method: "DELETE", headers: headers("application/json") }));
+}
+
 export async function readFile(path) {
   for (let attempt = 1; ; attempt += 1) {
     const answer = await fetch(path, { headers: headers("*/*") });

@@ -13,6 +13,7 @@ import { inverse, mainFrame, matrixOf, placements, product } from "/frames.js";
 import { listen } from "/keyboard.js";
 import { nearMisses } from "/nearmisses.js";
 import { PairView } from "/pair.js";
+import { Plans } from "/plans.js";
 import { actionsOf } from "/review.js";
 import { MapView, roundMetres } from "/scene.js";
 import { Tools, inWords } from "/tools.js";
@@ -50,6 +51,7 @@ let tools = null;
 let versions = null;
 let drives = null;
 let anchors = null;
+let plans = null;
 const pair = new PairView({ onStep: stepPair, onClose: () => select(model.selected), actionsOf: (loop) => actionsOf(loop, taken) });
 
 // ---------------------------------------------------------------------------------------------- reading
@@ -72,6 +74,7 @@ function forgetMap() {
   versions?.clear();
   drives?.clear();
   anchors?.clear();
+  plans?.clear();
   tools?.use("none");
   Object.assign(model, { map: null, missing: "", rejectedRead: false, selected: null, listed: LISTED_AT_ONCE, faults: [] });
   for (const held of [model.sessions, model.submaps, model.loops, model.operations, model.hidden]) held.clear();
@@ -94,7 +97,7 @@ async function readMap() {
   for (const submap of tracks.flat()) model.submaps.set(submap.name, submap);
   for (const loop of [...accepted, ...ambiguous, ...proposed]) model.loops.set(loop.name, loop);
   for (const operation of [...running, ...failed]) if (ofMap(operation)) model.operations.set(operation.name, operation);
-  await Promise.all([readWhyNoLoops(), readFaults(), versions.show(name)]);
+  await Promise.all([readWhyNoLoops(), readFaults(), versions.show(name), plans.show(name)]);
   drives.show(versions.inForce);
   anchors.show(versions.inForce);
   if (model.states.has("rejected")) await readRejected();
@@ -225,6 +228,7 @@ function renderStage(loops, refit) {
     });
     renderFaults();
     anchors?.draw();
+    plans?.draw();
     tellLegend(view.colouring);
   }
   Object.assign(document.body.dataset, { submaps, drawnSubmaps: view?.places.size ?? 0, drawnLoops: view?.drawnLoops ?? 0, listedLoops: loops.length });
@@ -610,6 +614,22 @@ function switchTheme() {
   pair.paint();
 }
 
+/** From above, with points where nothing else is shown: so corners are found. */
+function lookDown() {
+  setView("top");
+  if (view.surface === "none") setSurface("points");
+}
+
+/** The height at which a plan of a storey, or of none, is drawn: that of its lowest submap. */
+function floorOf(storey) {
+  const [own, all] = [[], []];
+  for (const { at, submap } of view.places.values()) {
+    all.push(at.z);
+    if (storey && model.sessions.get(sessionOf(submap.name))?.storey === storey) own.push(at.z);
+  }
+  return (own.length ? own : all).reduce((least, z) => Math.min(least, z), Infinity);
+}
+
 const toggle = (current, other) => (byId("surface").querySelector("[aria-pressed=true]").dataset.surface === current ? setSurface(other) : setSurface(current));
 
 listen(
@@ -635,7 +655,7 @@ listen(
     [["?"], "this list", () => byId("help").showModal()],
     [["Escape"], "close, choose nothing, end the search", stepBack],
   ],
-  () => pair.isOpen || byId("help").open,
+  () => pair.isOpen || byId("help").open || byId("plan-dialog").open,
 );
 
 // ---------------------------------------------------------------------------------------------- start
@@ -829,6 +849,7 @@ anchors = new AnchorList({
   frame: () => model.frame,
 });
 tools = new Tools({ view, mapName: () => model.map, onJoined: joined });
+plans = new Plans({ view, tools, frame: () => model.frame, heightOf: floorOf, lookDown });
 connect();
 run();
 

@@ -92,10 +92,11 @@ export class MapView {
     this.changes = new THREE.Group();
     this.things = new THREE.Group();
     this.anchors = new THREE.Group();
+    this.plans = new THREE.Group();
     this.dots = null;
     this.faultMarks = [];
     this.grid = null;
-    this.scene.add(this.surfaces, this.paths, this.loops, this.changes, this.things, this.anchors, this.marks, this.rulers);
+    this.scene.add(this.plans, this.surfaces, this.paths, this.loops, this.changes, this.things, this.anchors, this.marks, this.rulers);
     this.scene.add(new THREE.HemisphereLight("#ffffff", "#66727e", 1.5));
     this.sun = new THREE.DirectionalLight("#ffffff", 1.5);
     this.sun.position.set(0.9, -1.2, 0.9);
@@ -335,12 +336,18 @@ export class MapView {
     return rampMaterial(size, "at.z", heights.map((height) => height + e[14]), 0.5);
   }
 
-  /** What is under a point of the canvas: of the points or the surface, else a submap, else the ground; null for nothing. */
-  pick(x, y) {
+  /** The ray through a point of the canvas. */
+  casterThrough(x, y) {
     const caster = new THREE.Raycaster();
     caster.params.Points.threshold = this.metresOf(5);
     caster.setFromCamera(new THREE.Vector2((2 * x) / this.canvas.clientWidth - 1, 1 - (2 * y) / this.canvas.clientHeight), this.camera);
     for (const shown of this.surfaces.children) shown.updateMatrixWorld();
+    return caster;
+  }
+
+  /** What is under a point of the canvas: of the points or the surface, else a submap, else the ground; null for nothing. */
+  pick(x, y) {
+    const caster = this.casterThrough(x, y);
     const [hit] = caster.intersectObjects(this.surfaces.children, false);
     if (hit) return hit.point.clone();
     const near = this.nearest(x, y)?.submap;
@@ -349,11 +356,11 @@ export class MapView {
     return caster.ray.intersectPlane(ground, new THREE.Vector3());
   }
 
-  /** Draw a ruler through points, or take it away. */
-  measure(points) {
+  /** Draw a ruler through points, or the points alone, or take it away. */
+  measure(points, joined = true) {
     clear(this.rulers);
     if (points.length) this.rulers.add(this.rings(points, 14));
-    if (points.length === 2) {
+    if (joined && points.length === 2) {
       const line = this.line(new LineGeometry().setPositions(points.flatMap((at) => at.toArray())), themed("--mark"), 3);
       line.renderOrder = 6;
       this.rulers.add(line);
@@ -402,6 +409,33 @@ export class MapView {
       this.anchors.add(lines, this.rings(own.map(({ to }) => to), 11, colour));
     }
     this.draw();
+  }
+
+  /** Draw plans underneath: [{ name, image, opacity, corners, height }], corners (4) as [x, y] from the upper left one clockwise. */
+  showPlans(plans) {
+    const there = new Map(this.plans.children.map((sheet) => [sheet.name, sheet]));
+    const kept = plans.map((plan) => {
+      const known = there.get(plan.name);
+      const sheet = known?.userData.image === plan.image ? known : sheetOf(plan);
+      const positions = sheet.geometry.getAttribute("position");
+      plan.corners.forEach(([x, y], corner) => positions.setXYZ(corner, x, y, plan.height));
+      positions.needsUpdate = true;
+      sheet.material.opacity = plan.opacity;
+      return sheet;
+    });
+    for (const sheet of [...this.plans.children].filter((one) => !kept.includes(one))) {
+      this.plans.remove(sheet);
+      for (const held of [sheet.material.map, sheet.material, sheet.geometry]) held.dispose();
+    }
+    for (const sheet of kept) this.plans.add(sheet);
+    this.draw();
+  }
+
+  /** What is under a point of the canvas: of the points or the surface, else the ground at a height; null for nothing. */
+  pickGround(x, y, height) {
+    const caster = this.casterThrough(x, y);
+    const [hit] = caster.intersectObjects(this.surfaces.children, false);
+    return hit?.point.clone() ?? caster.ray.intersectPlane(new THREE.Plane(new THREE.Vector3(0, 0, 1), -height), new THREE.Vector3());
   }
 
   /** T_target_source of two submaps as they are drawn: x,y,z,qx,qy,qz,qw. */
@@ -531,6 +565,22 @@ export class MapView {
     this.renderer.render(this.scene, this.camera);
     this.onCamera(this);
   }
+}
+
+/** A picture that lies flat: it is drawn before everything else, and hides nothing. */
+function sheetOf({ name, image }) {
+  const geometry = new THREE.BufferGeometry();
+  geometry.setAttribute("position", floats(new Array(12).fill(0), 3));
+  geometry.setAttribute("uv", floats([0, 0, 1, 0, 1, 1, 0, 1], 2));
+  geometry.setIndex([0, 2, 1, 0, 3, 2]);
+  const map = Object.assign(new THREE.Texture(image), { flipY: false, colorSpace: THREE.SRGBColorSpace, anisotropy: 8, needsUpdate: true });
+  // Not `transparent`: that would be drawn after the points. Blended all the same.
+  const blended = { blending: THREE.CustomBlending, blendSrc: THREE.SrcAlphaFactor, blendDst: THREE.OneMinusSrcAlphaFactor };
+  const material = new THREE.MeshBasicMaterial({ map, side: THREE.DoubleSide, depthTest: false, depthWrite: false, ...blended });
+  const sheet = new THREE.Mesh(geometry, material);
+  Object.assign(sheet, { name, renderOrder: -0.5, frustumCulled: false });
+  sheet.userData.image = image;
+  return sheet;
 }
 
 const RING = `

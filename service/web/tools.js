@@ -11,7 +11,7 @@ const metres = (length) => (length < 10 ? `${length.toFixed(2)} m` : `${length.t
 /** One tool at a time. `view` is the MapView, `mapName()` the map that is shown, `onJoined` hears of the loop closure. */
 export class Tools {
   constructor({ view, mapName, onJoined }) {
-    Object.assign(this, { view, mapName, onJoined, tool: "none", points: [], ends: [] });
+    Object.assign(this, { view, mapName, onJoined, tool: "none", points: [], ends: [], guest: null });
     byId("tools").addEventListener("click", ({ target }) => target.dataset.tool && this.use(this.tool === target.dataset.tool ? "none" : target.dataset.tool));
   }
 
@@ -19,8 +19,11 @@ export class Tools {
     return this.tool !== "none";
   }
 
-  use(tool) {
-    Object.assign(this, { tool, points: [], ends: [] });
+  /** `guest` is another part of the page that wants the clicks: it has take(x, y), and leave() for when it has them no more. */
+  use(tool, guest = null) {
+    const before = this.guest;
+    Object.assign(this, { tool, guest, points: [], ends: [] });
+    before?.leave();
     press(byId("tools"), "tool", tool);
     document.body.dataset.tool = tool;
     this.view?.measure([]);
@@ -30,7 +33,8 @@ export class Tools {
 
   /** A click at a point of the canvas, in CSS pixels. */
   take(x, y) {
-    if (this.tool === "measure") this.takePoint(this.view.pick(x, y));
+    if (this.guest) this.guest.take(x, y);
+    else if (this.tool === "measure") this.takePoint(this.view.pick(x, y));
     else if (this.tool === "join") this.takeSubmap(this.view.nearest(x, y)?.submap);
   }
 

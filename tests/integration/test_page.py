@@ -20,6 +20,7 @@ from tests.support.browser import Page, browser
 from tests.support.credentials import a_key
 from tests.support.fleet_in_service import fleet_in, slipped_fleet_in
 from tests.support.live_service import live_service
+from tests.support.made_pictures import a_png
 from tests.support.made_up_anchors import new_anchors, sent, with_stamps
 from tests.support.page_town import EACH_BY_ITSELF, fill
 from tests.support.patience import eventually, in_time
@@ -567,6 +568,82 @@ def test_residuals_are_those_of_loop_closures_in_the_frame_of_the_map(chromium, 
     low, high = (shown.tab.locator(f"#legend-{end}").inner_text() for end in ("low", "high"))
     assert (low, high) == tuple(f"{100 * means[round(share * (len(means) - 1))]:.0f} cm" for share in (0.01, 0.99))
     shown.tab.close()
+
+
+def on_ground(page, x, y):
+    """Where a point of the ground is drawn, in pixels of the window."""
+    box = page.tab.locator("#view").bounding_box()
+    at = page.tab.evaluate(
+        "([x, y]) => { const view = revisitPage.view(), at = view.places.values().next().value.at.clone();"
+        " return view.project(at.set(x, y, view.extent().min.z)); }",
+        [x, y],
+    )
+    return box["x"] + at["x"], box["y"] + at["y"]
+
+
+@pytest.mark.parametrize(
+    "options", [pytest.param({}, marks=pytest.mark.slow, id="laptop"), pytest.param(PHONE, id="phone")]
+)
+def test_a_picture_is_put_underneath_by_two_points_pinned_anew_and_deleted(chromium, service, options):
+    """Under the strict Content-Security-Policy; a name with markup stays a name."""
+    with Client(service.http) as client:
+        town = client.create_map("pinned" + str(len(options)))
+        session = client.create_session(town, "monday")
+        for number in range(3):
+            place = pose(20.0 * number)
+            client.wait(client.post_submap(session, f"s{number}", cloud_points(number), place, number + 1))
+    shown = Page(chromium, service.http, f"/#{town.name}", bypass_csp=False, **options)
+    tab = shown.tab
+    tab.on("dialog", lambda asked: asked.accept())
+    shown.drawn()
+    tab.locator("#plans summary").click()
+    svg = {"name": "plan.png", "mimeType": "image/png", "buffer": b"<svg onload=x>"}
+    tab.locator("#plan-file").set_input_files(svg)
+    tab.get_by_text("a plan is a PNG or a JPEG picture").wait_for()
+    tab.locator("#plan-file").set_input_files({**svg, "buffer": a_png(120, 90)})
+
+    def pin(*ground):
+        picture = tab.locator("#plan-picture").bounding_box()
+        for share in (0.25, 0.75):
+            tab.mouse.click(picture["x"] + share * picture["width"], picture["y"] + 0.5 * picture["height"])
+        tab.locator("#plan-next").click()
+        for number, (x, y) in enumerate(ground):
+            tab.get_by_text(f"Click point {number + 1} of the picture").wait_for()
+            tab.mouse.click(*on_ground(shown, x, y))
+        tab.locator("#plan-save").wait_for()
+
+    pin((10.0, 4.0), (40.0, 4.0))
+    shown.until("drawn-plans", 1)
+    tab.get_by_label("Name of the plan").fill("<b>Hall</b>")
+    tab.locator("#plan-save").click()
+    tab.locator("#told").wait_for(state="hidden")
+    with Client(service.http) as client:
+        (made,) = client.plans.list(town)
+        assert (made.name, made.display_name) == (f"{town.name}/plans/b-Hall-b", "<b>Hall</b>")
+        assert [pin.pixel_x for pin in made.pins] == pytest.approx([30.0, 90.0], abs=1.0)
+        assert [pin.x_m for pin in made.pins] == pytest.approx([10.0, 40.0], abs=0.5)
+        assert made.turn_rad == pytest.approx(0.0, abs=0.05)
+        row = tab.locator("#plan-list li")
+        assert row.locator("label").inner_text().startswith("<b>Hall</b>")
+        row.get_by_role("checkbox").uncheck()
+        shown.until("drawn-plans", 0)
+        tab.reload()
+        shown.drawn()
+        assert shown.data("drawn-plans") == "0"
+        tab.locator("#plans summary").click()
+        row.get_by_role("checkbox").check()
+        shown.until("drawn-plans", 1)
+        row.get_by_role("button", name="points").click()
+        tab.locator("#plan-again").click()
+        pin((40.0, 4.0), (10.0, 4.0))
+        tab.locator("#plan-save").click()
+        tab.locator("#told").wait_for(state="hidden")
+        assert abs(client.plans.get(made).turn_rad) == pytest.approx(np.pi, abs=0.05)
+        row.get_by_role("button", name="delete").click()
+        shown.until("drawn-plans", 0)
+        assert client.plans.list(town) == []
+    assert shown.complaints == []
+    tab.close()
 
 
 def test_two_points_are_measured(page):
