@@ -38,7 +38,7 @@ def main(arguments: list[str] | None = None) -> int:
     # Files are for this user only.
     os.umask(0o077)
     options = _parser().parse_args(arguments)
-    if options.command == "worker":
+    if options.command in ("serve", "worker"):
         leave_out_optional_libraries()
     if options.command == "unit":
         print(_unit(), end="")
@@ -158,9 +158,9 @@ def _serve(settings: Settings, state: State) -> int:
     try:
         # Before numba is imported: the gateway has kernels, too.
         choose_cache(settings.home)
-        from revisit.service.gateway import serve
+        with state.sole_gateway():  # before the imports, which take a second: a gateway too many is told at once
+            from revisit.service.gateway import serve
 
-        with state.sole_gateway():
             return serve(settings, state)
     except HomeTaken as error:
         print(error, file=sys.stderr)

@@ -19,6 +19,7 @@ from hypothesis import HealthCheck, settings
 
 from tests.support.patience import PATIENCE_S
 from tests.support.skips import IN_CI, judged
+from tests.support.slow_files import is_wholly_slow
 
 settings.register_profile(
     "ours", deadline=None, derandomize=IN_CI, print_blob=True, suppress_health_check=[HealthCheck.too_slow]
@@ -40,13 +41,24 @@ os.environ.setdefault("SSL_CERT_DIR", str(TESTS))
 FIRST = ("integration", "faults", "contract", "corpus")
 
 
+def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
+    """A file of slow tests alone is not imported where these are left out: each process would do so for nothing."""
+    if config.option.markexpr != "not slow" or not collection_path.name.startswith("test_"):
+        return None
+    return True if is_wholly_slow(collection_path) else None
+
+
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Files that wait for processes go first, so that nothing long is left for the end.
 
     By the time the others need compiled kernels, `make test` has compiled them beside.
     """
-    folders = [*FIRST, *sorted({item.path.relative_to(TESTS).parts[0] for item in items}.difference(FIRST))]
-    items.sort(key=lambda item: folders.index(item.path.relative_to(TESTS).parts[0]))
+    items.sort(key=lambda item: (FIRST.index(folder) if (folder := _folder(item)) in FIRST else len(FIRST), folder))
+
+
+def _folder(item: pytest.Item) -> str:
+    """The folder of `tests` that a test is in."""
+    return item.nodeid.split("/", 2)[1]
 
 
 def pytest_collection_finish() -> None:

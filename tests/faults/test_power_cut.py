@@ -44,7 +44,7 @@ def require_sound(recording: Recording, count: int, home: Path) -> None:
     campaign.publish("power cuts: 0 acknowledged lost, 0 damaged")
 
 
-@pytest.mark.parametrize("count", sizes("POWER_CUTS", 150, 5_000))
+@pytest.mark.parametrize("count", sizes("POWER_CUTS", 60, 5_000))
 @pytest.mark.timeout(1800)
 def test_a_power_cut_takes_nothing_that_was_acknowledged(recording, folder, count):
     require_sound(recording, count, folder / "home")

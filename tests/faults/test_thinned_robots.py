@@ -68,7 +68,7 @@ class Robot:
 def streaming(folder: Path, rows: int, faults: random.Random):
     """A service, a link to it of which every third connection is cut, and a robot that drives."""
     folder.mkdir(exist_ok=True)
-    with closing(ServiceProcess(folder / "home", fake_delay_s=0.0)) as service:
+    with closing(ServiceProcess(folder / "home", workers=0)) as service:
         with Client(service.url) as client:
             client.create_session(client.create_map("town"), "monday")
         cuts = lambda: Fault(cut_after=faults.randint(0, 3_000_000) if faults.random() < 0.3 else sys.maxsize)  # noqa: E731

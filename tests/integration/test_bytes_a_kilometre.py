@@ -9,7 +9,6 @@ from pathlib import Path
 
 import pytest
 
-from lab.storage.drives import simulated_drive
 from lab.storage.weighing import DATABASE, SCANS, weigh
 from revisit.core.config import PipelineConfig
 from revisit.sdk.clouds import encoded
@@ -45,6 +44,8 @@ def parts(tmp_path_factory):
 
 
 async def measured(home: Path) -> tuple[dict[str, int], dict[str, int], int, int]:
+    from lab.storage.drives import simulated_drive  # with all that the lab draws its figures with
+
     world = sqlite_world(home)
     await open_session(world)
     empty = weighed(home)

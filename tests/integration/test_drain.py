@@ -19,7 +19,7 @@ DRAIN_S = 2.0
 
 @pytest.fixture
 def town(tmp_path):
-    with running_town(tmp_path / "home", drain_s=DRAIN_S) as running:
+    with running_town(tmp_path / "home", workers=0, drain_s=DRAIN_S) as running:
         yield running
 
 

@@ -16,10 +16,18 @@ from tests.support.town import NEVER_TOO_NEAR, SESSION, running_town
 
 
 @pytest.fixture(scope="module")
-def town(tmp_path_factory):
+def gate(tmp_path_factory):
+    """Without this file no description ends. Each test leaves it there."""
+    file = tmp_path_factory.mktemp("gate") / "gate"
+    file.touch()
+    return file
+
+
+@pytest.fixture(scope="module")
+def town(tmp_path_factory, gate):
     """Each test leaves the service running."""
     home = tmp_path_factory.mktemp("town") / "home"
-    with running_town(home, fake_delay_s="0.02", of_map=NEVER_TOO_NEAR) as running:
+    with running_town(home, fake_delay_s="0.02", fake_gate=gate, of_map=NEVER_TOO_NEAR) as running:
         yield running
 
 
@@ -48,17 +56,16 @@ def test_a_submap_that_kills_its_worker_fails_after_three_attempts_and_others_pr
     assert (operation["state"], operation["attempts"]) == ("FAILED", 3)
 
 
-def test_a_submap_whose_worker_is_killed_again_and_again_is_described_all_the_same(tmp_path):
-    gate = tmp_path / "gate"
-    with running_town(tmp_path / "home", fake_gate=gate) as town:
-        operation = town.posted("innocent", 1)
-        for run in range(1, 5):
-            eventually(lambda run=run: running_attempt(town, operation) == run, f"run {run} did not begin")
-            (worker,) = town.service.worker_pids()
-            os.kill(worker, signal.SIGKILL)
-        gate.touch()
-        ended = town.ended(operation)
-        assert (ended["state"], ended["attempts"]) == ("DONE", 5)
+def test_a_submap_whose_worker_is_killed_again_and_again_is_described_all_the_same(town, gate):
+    gate.unlink()
+    operation = town.posted("innocent", 1)
+    for run in range(1, 4):  # as often as a guilty one is tried
+        eventually(lambda run=run: running_attempt(town, operation) == run, f"run {run} did not begin")
+        (worker,) = town.service.worker_pids()
+        os.kill(worker, signal.SIGKILL)
+    gate.touch()
+    ended = town.ended(operation)
+    assert (ended["state"], ended["attempts"]) == ("DONE", 4)
 
 
 @pytest.mark.slow

@@ -68,7 +68,7 @@ def test_poison_submaps_fail_with_their_reasons_and_others_are_described(start):
 
 
 def test_jobs_without_end_fail_with_their_reasons_and_their_workers_are_replaced(start):
-    town = start(workers=2, max_attempts=2, job_timeout_s=2, lease_s=3)
+    town = start(workers=2, max_attempts=2, job_timeout_s=2, lease_s=1.5)
     reasons = {
         HANGS: "the job took longer than 2 s",
         # Whichever comes first: the end of the last lease, or the end that the gateway makes of its silent worker.

@@ -47,7 +47,7 @@ async def driven_and_due(world, scans: int = SCANS) -> None:
 
 
 @pytest.mark.parametrize("point", POINTS)
-@pytest.mark.parametrize("nth", [1, 2, 4])
+@pytest.mark.parametrize("nth", [1, pytest.param(2, marks=pytest.mark.slow), 4])
 async def test_a_run_that_was_cut_off_is_finished_by_the_next_process(world, point, nth):
     await driven_and_due(world)
     await policy_set(world, ALL_RULES)

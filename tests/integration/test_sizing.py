@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 
 import pytest
@@ -24,11 +25,11 @@ def hours_of(metres: float) -> float:
     return metres / 3600.0
 
 
-@pytest.fixture
-async def stored(tmp_path):
-    """The data of one robot's drive of `SCANS` metres."""
-    world = sqlite_world(tmp_path)
-    await driven(world, SCANS)
+@pytest.fixture(scope="module")
+def stored(tmp_path_factory):
+    """The data of one robot's drive of `SCANS` metres; the last test takes its scans."""
+    world = sqlite_world(tmp_path_factory.mktemp("stored"))
+    asyncio.run(driven(world, SCANS))
     yield world
     world.context.transactions.close()
 

@@ -161,7 +161,7 @@ def test_a_service_that_lost_acknowledged_scans_is_noticed(client, session, tmp_
 
 @pytest.fixture
 def real_service(tmp_path):
-    running = ServiceProcess(tmp_path / "home")
+    running = ServiceProcess(tmp_path / "home", workers=0)
     yield running
     running.close()
 

@@ -13,7 +13,7 @@ from tests.support.service_world import cloud_points, pose
 
 @pytest.fixture
 def service(tmp_path):
-    running = ServiceProcess(tmp_path / "home")
+    running = ServiceProcess(tmp_path / "home", workers=0)
     yield running
     running.close()
 

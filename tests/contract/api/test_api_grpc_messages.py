@@ -21,7 +21,7 @@ from tests.corpus.sending import METHODS, cloud_message, grpc_reason, transform
 from tests.support.cloud_files import records, valid_files
 from tests.support.patience import PATIENCE_S
 
-EXAMPLES = int(os.environ.get("REVISIT_GRPC_EXAMPLES", "12"))
+EXAMPLES = int(os.environ.get("REVISIT_GRPC_EXAMPLES", "6"))
 LIMITS = settings(max_examples=EXAMPLES, deadline=None, database=None, suppress_health_check=list(HealthCheck))
 # A watch ends only with its deadline.
 DEADLINE_S = {"WatchLoopClosures": 0.1, "WatchCorrections": 0.1, "WatchEvents": 0.1, "WaitOperation": 0.3}

@@ -170,7 +170,7 @@ def test_of_many_refused_scans_the_first_are_told_and_the_others_counted(recordi
 
 
 @pytest.mark.parametrize("by_spool", [False, True], ids=["stream", "spool"])
-@pytest.mark.parametrize("limit", [9, 10, 11, 12])
+@pytest.mark.parametrize("limit", [10, *(pytest.param(limit, marks=pytest.mark.slow) for limit in (9, 11, 12))])
 def test_scans_of_the_same_time_are_resumed_between(recording, where, tmp_path, limit, by_spool):
     times = [f"{number * 0.1:.9f}" for number in range(SCANS)]
     times[10] = times[11] = times[9]

@@ -28,7 +28,7 @@ from tests.support.patience import PATIENCE_S
 from tests.support.service_world import cloud_points, pose
 
 # Per operation, half of them as the document says and half against it.
-EXAMPLES = int(os.environ.get("REVISIT_SCHEMATHESIS_EXAMPLES", "12"))
+EXAMPLES = int(os.environ.get("REVISIT_SCHEMATHESIS_EXAMPLES", "6"))
 
 
 def no_server_error(ctx, response, case):

@@ -9,14 +9,12 @@ import sys
 
 import numpy as np
 import pytest
-import torch
 
 from revisit.core.codec import neural_map as codec
 from revisit.core.config import Field, Fitting, ImplicitMapConfig, Loss, SurfaceConfig
 from revisit.core.errors import DataLoss, DescriptorModelMismatch
 from revisit.core.implicit_map import NeuralMap, fit_implicit_map
 from revisit.core.implicit_map.decoder import orientations
-from revisit.core.implicit_map.gradient_steps import predict, sdf_loss, tensors_of
 from revisit.core.implicit_map.neural_points import oriented
 from revisit.core.implicit_map.samples import draw_samples
 from revisit.core.kernels.gathered_returns import GatheredReturns
@@ -124,6 +122,10 @@ def test_the_field_turns_with_the_submap(make_drive, shapes):
 
 @pytest.mark.parametrize(("fitting", "loss"), [(Fitting.AT_ONCE, Loss.BCE), (Fitting.SCAN_BY_SCAN, Loss.L1)])
 def test_gradient_steps_lower_the_loss_on_the_training_samples(fitting, loss, make_drive, shapes):
+    import torch  # here: every process of the tests collects this file, and one runs it
+
+    from revisit.core.implicit_map.gradient_steps import sdf_loss
+
     submap = make_drive(lambda _: [shapes["ground"](), shapes["sphere"]((0.0, 9.0, 2.0), 2.0)])
     losses = []
     for steps in (0, 10):
@@ -246,6 +248,10 @@ def test_planes_need_no_torch():
 
 
 def test_a_learned_field_is_computed_alike_with_and_without_torch(make_drive, shapes):
+    import torch
+
+    from revisit.core.implicit_map.gradient_steps import predict, tensors_of
+
     submap = make_drive(lambda _: [shapes["ground"](), shapes["sphere"]((0.0, 9.0, 2.0), 2.0)])
     field = fit(submap, LEARNED)
     queries = submap.points[::50]

@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lab.repeating_campaign import DriveCounts, run_drives
 from lab.worlds.repeating import (
     WORLDS,
     Judgement,
@@ -27,6 +26,7 @@ from revisit.core.verification.oriented_points import OrientedPoints, contact
 from tests.support.campaigns import Campaign, sizes
 
 CONFIG = PipelineConfig()
+QUICK = ("row houses", "orchard")
 
 
 def pairs(world: World, count: int) -> list[RepeatingPair]:
@@ -39,7 +39,10 @@ def overlap(pair: RepeatingPair, T_match_query: se3.Matrix4) -> float:
     return float(contact(query, match, CONFIG.verification).touching.mean())
 
 
-@pytest.mark.parametrize("world", WORLDS, ids=[world.name for world in WORLDS])
+@pytest.mark.parametrize(
+    "world",
+    [pytest.param(w, id=w.name, marks=() if w.name in QUICK else pytest.mark.slow) for w in WORLDS],
+)
 def test_one_period_on_fits_about_as_well_as_the_truth_and_half_a_period_does_not(world: World) -> None:
     same, shifted = pairs(world, 2)
     assert same.same and not shifted.same
@@ -108,6 +111,8 @@ def test_of_random_pairs_in_worlds_that_repeat_none_is_accepted_with_a_wrong_pos
 @pytest.mark.parametrize("size", sizes("REPEATING_DRIVES", 1, 7))
 def test_of_two_drives_in_a_world_that_repeats_no_wrong_pose_is_accepted_by_the_service(size: int) -> None:
     """P31. The rules over a drive may decide pairs that are ambiguous alone, but only rightly."""
+    from lab.repeating_campaign import DriveCounts, run_drives  # with torch, which no other test here needs
+
     campaign, counts = Campaign("P31", size), list[DriveCounts]()
     for number, world in zip(range(size), WORLDS, strict=False):
         counts.append(run_drives(world, 300 + number, CONFIG, 2 if size == 1 else 6))
@@ -128,6 +133,7 @@ def test_two_drives_pass_the_same_places_each_in_its_order() -> None:
     assert abs(min(one.position[0] for one in places.queries)) <= 5.0
 
 
+@pytest.mark.slow
 def test_pairs_are_drawn_once_and_are_what_they_say() -> None:
     world = WORLDS[1]
     seen = visits_of(world, 5, 9, load_packaged_models().codebooks, CONFIG)

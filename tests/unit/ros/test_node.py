@@ -145,6 +145,7 @@ def made(monkeypatch, tmp_path):
     for name in ("revisit_bridge.node", "revisit_bridge.lifecycle_node"):
         monkeypatch.delitem(sys.modules, name, raising=False)
     nothing_listens = "127.0.0.1:1"
+    monkeypatch.setattr("revisit.sdk.spooled_stream.CLOSE_S", 0.05)  # nobody answers: the stream would wait in vain
     monkeypatch.setattr(FakeNode, "overrides", {
         "service": nothing_listens, "odometry_topic": "odometry", "spool_dir": str(tmp_path), "robot_id": "spot",
         "send": "all",
