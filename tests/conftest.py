@@ -5,6 +5,7 @@ from __future__ import annotations
 import gc
 import inspect
 import os
+import sys
 from collections.abc import Iterator
 from functools import cache
 from importlib.util import find_spec
@@ -67,6 +68,12 @@ def pytest_collection_finish() -> None:
     `gc.get_objects` leaves them out from now on.
     """
     gc.freeze()
+
+
+def pytest_sessionfinish() -> None:
+    """What processes that were forked have used is counted with this one."""
+    if "tests.support.forked" in sys.modules:
+        sys.modules["tests.support.forked"].end_server()
 
 
 @pytest.hookimpl(wrapper=True)

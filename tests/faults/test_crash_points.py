@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ast
-import multiprocessing
 import os
 import signal
 import sqlite3
@@ -17,15 +16,13 @@ from revisit.service.failpoints import POINTS, arm
 from tests.faults.drive import DEGENERATE, undisturbed
 from tests.faults.history import History
 from tests.faults.survey import survey
+from tests.support.forked import processes
 from tests.support.made_database import made_database
 from tests.support.patience import PATIENCE_S
 
 ROOT = Path(__file__).resolve().parents[2]
 END = Counter({"DESCRIBED": 8, "FAILED": 1})
 """a, c, d, three windows of scans and two of the annex; the degenerate one."""
-
-processes = multiprocessing.get_context("forkserver")
-processes.set_forkserver_preload(["tests.faults.drive"])
 
 
 def _drive_into(home: Path, log: Path, armed: str) -> None:

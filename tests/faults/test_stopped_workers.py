@@ -20,7 +20,7 @@ from tests.faults.survey import survey
 from tests.support.campaigns import Campaign, sizes
 from tests.support.fake_recogniser import NOWHERE
 from tests.support.patience import eventually
-from tests.support.processes import ServiceProcess, WorkerProcess, is_free
+from tests.support.processes import ForkedService, WorkerProcess, is_free
 from tests.support.service_world import pose
 from tests.support.town import SESSION
 
@@ -48,7 +48,7 @@ def stopped(worker: WorkerProcess, home: Path) -> Iterator[None]:
 @pytest.fixture
 def client(folder) -> Iterator[Client]:
     """Of a gateway that starts no workers and watches over none."""
-    with closing(ServiceProcess(folder / "home", workers=0)) as service, Client(service.url) as made:
+    with closing(ForkedService(folder / "home", workers=0)) as service, Client(service.url) as made:
         made.create_session(made.create_map("town", leave_distance_m=0), "monday")
         yield made
 

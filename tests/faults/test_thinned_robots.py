@@ -21,7 +21,7 @@ from tests.faults.proxy import Fault, bad_link
 from tests.faults.survey import survey
 from tests.support.campaigns import Campaign, seed_of_this_run, sizes
 from tests.support.patience import PATIENCE_S, eventually
-from tests.support.processes import ROOT, ServiceProcess
+from tests.support.processes import ROOT, ForkedService
 from tests.support.town import SESSION
 
 MARKS = ScanMarks.of(SubmapConfig())
@@ -68,7 +68,7 @@ class Robot:
 def streaming(folder: Path, rows: int, faults: random.Random):
     """A service, a link to it of which every third connection is cut, and a robot that drives."""
     folder.mkdir(exist_ok=True)
-    with closing(ServiceProcess(folder / "home", workers=0)) as service:
+    with closing(ForkedService(folder / "home", workers=0)) as service:
         with Client(service.url) as client:
             client.create_session(client.create_map("town"), "monday")
         cuts = lambda: Fault(cut_after=faults.randint(0, 3_000_000) if faults.random() < 0.3 else sys.maxsize)  # noqa: E731
@@ -77,13 +77,13 @@ def streaming(folder: Path, rows: int, faults: random.Random):
             yield service, link, robot
 
 
-def kill_gateway(service: ServiceProcess, link) -> None:
+def kill_gateway(service: ForkedService, link) -> None:
     service.kill()
     service.start()
     link.target = service.grpc_target
 
 
-def _wait_for_a_scan(service: ServiceProcess, robot: Robot) -> None:
+def _wait_for_a_scan(service: ForkedService, robot: Robot) -> None:
     """Until the service has one more, or the robot has come home."""
     with Client(service.url) as client:
         before = client.get_session(SESSION).committed_seq

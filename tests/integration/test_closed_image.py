@@ -9,13 +9,13 @@ import httpx
 from revisit.service.composition import offline_use_cases
 from revisit.service.features.keys.calls import CreateKey
 from revisit.service.settings import Settings
-from tests.support.processes import ServiceProcess
+from tests.support.processes import ForkedService
 
 OF_THE_IMAGE = {"host": "0.0.0.0", "insecure_bind": 1, "authentication": "on"}
 
 
 def test_nobody_gets_in_before_the_first_key_and_its_owner_does_afterwards(tmp_path, monkeypatch):
-    running = ServiceProcess(tmp_path / "home", workers=0, **OF_THE_IMAGE)
+    running = ForkedService(tmp_path / "home", workers=0, **OF_THE_IMAGE)
     try:
         assert "keys create" in running.wait_for("closed_to_everyone")["hint"]
         with httpx.Client(base_url=running.url, trust_env=False) as http:

@@ -17,7 +17,7 @@ from revisit.service.engines.local.sqlite.transactions import SqliteTransactions
 from revisit.service.features.upkeep.calls import WAL_ALARM_BYTES
 from tests.support.made_database import made_database
 from tests.support.patience import eventually
-from tests.support.processes import ServiceProcess
+from tests.support.processes import ForkedService
 
 
 class World:
@@ -108,7 +108,7 @@ def test_a_disk_that_fails_while_the_log_is_folded_back_stops_the_service(world,
 
 def test_a_service_folds_back_what_was_left_while_it_is_idle_and_while_it_drains(world, tmp_path):
     world.beat(WAL_ALARM_BYTES + 2**20)
-    with closing(ServiceProcess(tmp_path / "home", workers=1, fake_delay_s=3)) as service:
+    with closing(ForkedService(tmp_path / "home", workers=1, fake_delay_s=3)) as service:
         eventually(lambda: world.size_bytes < WAL_ALARM_BYTES, "the log stays large")
         assert all(finding.ok is not False for finding in examine(tmp_path / "home", full=False))
         world.beat(WAL_ALARM_BYTES + 2**20)

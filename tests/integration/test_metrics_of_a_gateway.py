@@ -13,7 +13,7 @@ import trustme
 from revisit.v1 import map_pb2
 from tests.support.monitoring import queries
 from tests.support.patience import PATIENCE_S
-from tests.support.processes import ROOT, ServiceProcess
+from tests.support.processes import ROOT, ForkedService
 from tests.support.scraping import asked_by, families, scrape, values_by_label
 
 PAGE = (ROOT / "docs/reference/metrics.md").read_text()
@@ -26,7 +26,7 @@ OF_A_SCRAPE = {"job", "instance"}
 
 @pytest.fixture(scope="module")
 def service(tmp_path_factory):
-    running = ServiceProcess(tmp_path_factory.mktemp("metrics") / "home", metrics_port=0, workers=0)
+    running = ForkedService(tmp_path_factory.mktemp("metrics") / "home", metrics_port=0, workers=0)
     running.wait_for("metrics_listening")
     yield running
     running.close()
@@ -40,7 +40,7 @@ def over_tls(tmp_path_factory):
     certificate.cert_chain_pems[0].write_to_path(folder / "chain.pem")
     certificate.private_key_pem.write_to_path(folder / "key.pem")
     files = {"tls_certificate": folder / "chain.pem", "tls_key": folder / "key.pem"}
-    running = ServiceProcess(folder / "home", metrics_port=0, workers=0, **files)
+    running = ForkedService(folder / "home", metrics_port=0, workers=0, **files)
     yield scrape(running)
     running.close()
 

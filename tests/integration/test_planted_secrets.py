@@ -18,7 +18,7 @@ from revisit.service.rest.app import create_app
 from tests.support.campaigns import Campaign, sizes
 from tests.support.credentials import ALL_SCOPES, ended
 from tests.support.patience import PATIENCE_S
-from tests.support.processes import ServiceProcess
+from tests.support.processes import ForkedService
 from tests.support.service_world import memory_world, sqlite_world
 from tests.support.trace_receiver import TraceReceiver, trace_receiver
 
@@ -63,7 +63,7 @@ def traces():
 def keys_and_service(tmp_path, traces):
     keys = planted_keys(tmp_path / "home")
     settings = {"metrics_port": 0, "log_level": "DEBUG", "authentication": "on", "otlp_endpoint": traces.endpoint}
-    running = ServiceProcess(tmp_path / "home", workers=0, **settings)
+    running = ForkedService(tmp_path / "home", workers=0, **settings)
     yield keys, running
     running.close()
 
@@ -89,7 +89,7 @@ def send_over_grpc(channel: grpc.Channel, credential: str, methods: list, number
     return repr(ended(channel, methods[number % len(methods)], [("authorization", f"Bearer {credential}")]))
 
 
-def everything_left(service: ServiceProcess, home: Path, answers: list[str], traces: TraceReceiver) -> dict[str, bytes]:
+def everything_left(service: ForkedService, home: Path, answers: list[str], traces: TraceReceiver) -> dict[str, bytes]:
     """What could give a secret away once the service has ended: answers, log, metrics with labels, traces, files."""
     port = service.wait_for("metrics_listening")["port"]
     metrics = httpx.get(f"http://127.0.0.1:{port}/metrics", trust_env=False, timeout=PATIENCE_S).content

@@ -11,7 +11,7 @@ import pytest
 from sqlalchemy import create_engine, text
 
 from tests.support.patience import eventually
-from tests.support.processes import ServiceProcess, WorkersProcess
+from tests.support.processes import ForkedService, WorkersProcess
 from tests.support.town import NEVER_TOO_NEAR, SESSION, running_town
 
 ROUNDS = 2
@@ -52,7 +52,7 @@ def workers(tmp_path_factory, town):
 
 
 def test_what_one_gateway_takes_another_one_tells(town, workers):
-    with closing(ServiceProcess(town.home, database_url=town.url, workers=0)) as second:
+    with closing(ForkedService(town.home, database_url=town.url, workers=0)) as second:
         town.posted("told", 9)
         states = httpx.get(f"{second.url}/v1/{SESSION}/submaps", trust_env=False)
         assert [submap["name"] for submap in states.json()["submaps"]] == [f"{SESSION}/submaps/told"]

@@ -17,7 +17,7 @@ from revisit.sdk.retry import RetryPolicy
 from tests.support.figures import publish
 from tests.support.http2 import PREFACE
 from tests.support.patience import PATIENCE_S, in_time
-from tests.support.processes import ServiceProcess
+from tests.support.processes import ForkedService
 
 CLOSED_WITHIN_S = 15.0
 SOCKETS = int(os.environ.get("REVISIT_SLOW_SOCKETS", "2000"))
@@ -35,7 +35,7 @@ BEGINNINGS = {
 
 @pytest.fixture(scope="module")
 def service(tmp_path_factory):
-    running = ServiceProcess(tmp_path_factory.mktemp("home"), workers=0)
+    running = ForkedService(tmp_path_factory.mktemp("home"), workers=0)
     yield running
     running.close()
 

@@ -19,7 +19,7 @@ from revisit.sdk.spool import Spool, SpoolDisagrees
 from tests.faults.proxy import bad_link
 from tests.support.live_service import connected, live_service
 from tests.support.patience import PATIENCE_S
-from tests.support.processes import ServiceProcess
+from tests.support.processes import ForkedService
 from tests.support.service_world import cloud_points, pose
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -161,7 +161,7 @@ def test_a_service_that_lost_acknowledged_scans_is_noticed(client, session, tmp_
 
 @pytest.fixture
 def real_service(tmp_path):
-    running = ServiceProcess(tmp_path / "home", workers=0)
+    running = ForkedService(tmp_path / "home", workers=0)
     yield running
     running.close()
 

@@ -7,13 +7,13 @@ import pytest
 from revisit import Client
 from revisit.sdk.retry import RetryPolicy
 from tests.faults.proxy import bad_link
-from tests.support.processes import ServiceProcess
+from tests.support.processes import ForkedService
 from tests.support.service_world import cloud_points, pose
 
 
 @pytest.fixture
 def service(tmp_path):
-    running = ServiceProcess(tmp_path / "home", workers=0)
+    running = ForkedService(tmp_path / "home", workers=0)
     yield running
     running.close()
 

@@ -14,7 +14,7 @@ from revisit import Client
 from revisit.sdk.errors import ApiError, PermissionDenied, Unauthenticated
 from revisit.sdk.retry import RetryPolicy
 from tests.support.patience import PATIENCE_S
-from tests.support.processes import ServiceProcess
+from tests.support.processes import ForkedService
 
 ONCE = RetryPolicy(attempts=1)
 
@@ -40,7 +40,7 @@ def files(tmp_path_factory, authority):
 @pytest.fixture(scope="module")
 def secured(tmp_path_factory, files):
     """A service with TLS, which demands client certificates over gRPC."""
-    running = ServiceProcess(
+    running = ForkedService(
         tmp_path_factory.mktemp("home"),
         tls_certificate=files / "chain.pem",
         tls_key=files / "key.pem",

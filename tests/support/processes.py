@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from revisit.service.settings import ForTests
+from tests.support.forked import ForkedProcess, serve
 from tests.support.patience import PATIENCE_S
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -45,7 +46,12 @@ class _Logging:
 
     def start(self) -> None:
         """Start it (again)."""
-        self._process = subprocess.Popen(
+        self._process = self._begun()
+        self._reader = threading.Thread(target=self._read, args=(self._process,), daemon=True)
+        self._reader.start()
+
+    def _begun(self) -> subprocess.Popen[str] | ForkedProcess:
+        return subprocess.Popen(
             [*self.launcher, *self.python, "-m", "revisit.service", *self.command],
             cwd=self.folder,
             env=self._environment,
@@ -53,8 +59,6 @@ class _Logging:
             text=True,
             start_new_session=True,
         )
-        self._reader = threading.Thread(target=self._read, args=(self._process,), daemon=True)
-        self._reader.start()
 
     def set(self, **settings: Any) -> None:
         """Settings of the next start, those of REVISIT_FOR_TESTS by their own names; None for the default."""
@@ -103,7 +107,7 @@ class _Logging:
             os.killpg(self._process.pid, signal.SIGKILL)
         self._process.wait()
 
-    def _read(self, process: subprocess.Popen[str]) -> None:
+    def _read(self, process: subprocess.Popen[str] | ForkedProcess) -> None:
         for line in process.stderr:
             try:
                 self.events.append(json.loads(line))
@@ -141,6 +145,16 @@ class ServiceProcess(_Logging):
         status = self._process.wait(PATIENCE_S)
         self._reader.join(PATIENCE_S)
         return status, time.monotonic() - started
+
+
+class ForkedService(ServiceProcess):
+    """A gateway like that of `python -m revisit.service serve`, from its first line on, whose imports were made before.
+
+    Its workers are started as ever. For tests of a service that runs, not of its start or its memory.
+    """
+
+    def _begun(self) -> ForkedProcess:
+        return ForkedProcess(serve, (), self.folder, self._environment)
 
 
 class WorkerProcess(_Logging):

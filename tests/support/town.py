@@ -12,7 +12,7 @@ import httpx
 
 from revisit.formats import KITTI, encode_kitti
 from tests.support.patience import PATIENCE_S, eventually
-from tests.support.processes import ServiceProcess
+from tests.support.processes import ForkedService, ServiceProcess
 from tests.support.service_world import cloud_points
 
 SESSION = "maps/town/sessions/monday"
@@ -96,7 +96,7 @@ class Town:
 
 @contextmanager
 def running_town(
-    home: Path, kind: type[ServiceProcess] = ServiceProcess, *, of_map: Mapping[str, Any] = EMPTY, **settings: Any
+    home: Path, kind: type[ServiceProcess] = ForkedService, *, of_map: Mapping[str, Any] = EMPTY, **settings: Any
 ) -> Iterator[Town]:
     """A service of its own until the block ends; `of_map`: the map's own rules."""
     service = kind(home, **settings)
