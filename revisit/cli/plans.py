@@ -13,7 +13,10 @@ from revisit.cli.options import HTTP, Http, Json, Yes
 from revisit.cli.output import confirm, counted, emit_json, emit_table, refuse, say
 
 if TYPE_CHECKING:
+    from revisit.sdk.client import Client
     from revisit.sdk.resources import Plan
+
+Pin = tuple[tuple[float, float], tuple[float, float]]
 
 group = typer.Typer(help="Put floor plans and orthophotos under a map.", no_args_is_help=True)
 
@@ -23,6 +26,10 @@ File = Annotated[Path, typer.Argument(exists=True, dir_okay=False, help="PNG or 
 Pins = Annotated[
     list[str],
     typer.Option("--pin", metavar="PX,PY=X,Y", help="A pixel of the picture and its place in the map, metres; two."),
+]
+OnEarth = Annotated[
+    bool,
+    typer.Option("--on-earth", help="Places of pins are latitude and longitude, degrees."),
 ]
 
 
@@ -34,6 +41,7 @@ def add(
     plan_id: Annotated[str, typer.Option("--id", help="Id of the plan; that of the file otherwise.")] = "",
     display_name: Annotated[str, typer.Option("--name", help="Name for people.")] = "",
     storey: Annotated[str, typer.Option("--storey", help="The storey that it shows.")] = "",
+    on_earth: OnEarth = False,
     http: Http = HTTP,
     json: Json = False,
 ) -> None:
@@ -42,17 +50,22 @@ def add(
 
     given, named = _pins(pins), plan_id or file.stem
     with Client(http) as client:
+        given = _from_earth(client, map_id, given) if on_earth else given
         made = client.plans.create(map_id, named, file, given, display_name=display_name, storey=storey or None)
     _tell(made, json)
 
 
 @group.command("pin")
-def pin(map_id: MapId, plan_id: PlanId, pins: Pins, http: Http = HTTP, json: Json = False) -> None:
+def pin(
+    map_id: MapId, plan_id: PlanId, pins: Pins, on_earth: OnEarth = False, http: Http = HTTP, json: Json = False
+) -> None:
     """Hold a plan by two other pins."""
     from revisit.sdk.client import Client
 
+    given = _pins(pins)
     with Client(http) as client:
-        _tell(client.plans.pin(_name(map_id, plan_id), _pins(pins)), json)
+        given = _from_earth(client, map_id, given) if on_earth else given
+        _tell(client.plans.pin(_name(map_id, plan_id), given), json)
 
 
 @group.command("list")
@@ -105,7 +118,16 @@ def _tell(plan: Plan, json: bool) -> None:
     say(f"{plan.name}: {plan.metres_per_pixel:.4g} m a pixel, turned by {turned:.1f} degrees counter-clockwise.")
 
 
-def _pins(texts: list[str]) -> list[tuple[tuple[float, float], tuple[float, float]]]:
+def _from_earth(client: Client, map_id: str, pins: list[Pin]) -> list[Pin]:
+    """Pins at latitudes and longitudes, in metres of the map. Exits where the map has not one frame on earth."""
+    frames = client.maps.on_earth(map_id)
+    if len(frames) != 1:
+        raise refuse(f"map {map_id} has {counted(len(frames), 'frame')} on earth: --on-earth needs one")
+    (earth,) = frames.values()
+    return [(pixel, earth.place(*place)) for pixel, place in pins]
+
+
+def _pins(texts: list[str]) -> list[Pin]:
     """The pins of PX,PY=X,Y. Exits where one is no pin."""
     return [(_point(pixel, text), _point(ground, text)) for text in texts for pixel, _, ground in [text.partition("=")]]
 

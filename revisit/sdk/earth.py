@@ -17,6 +17,10 @@ if TYPE_CHECKING:
     from pyproj import CRS
 
 
+MOST_FROM_ORIGIN_M = 100_000.0
+"""A place so far from the origin of a map is a mistake."""
+
+
 @dataclass(frozen=True)
 class GeodeticPose:
     """Where something is on earth, WGS 84, and the direction of its x axis, degrees clockwise from north, 0 to 360.
@@ -52,6 +56,19 @@ class OnEarth:
         heading_deg = math.degrees(math.atan2(T_enu[0, 0], T_enu[1, 0])) % 360.0
         # A heading that is less than north by a rounding is 360.0 by then.
         return GeodeticPose(latitude, longitude, altitude, heading_deg % 360.0)
+
+    def place(self, latitude_deg: float, longitude_deg: float) -> tuple[float, float]:
+        """x and y in the frame, metres, of a place on earth at the altitude of the origin.
+
+        Raises BadField where it is none, or 100 km from the origin or more: longitude and latitude may be exchanged.
+        """
+        if not (abs(latitude_deg) <= 90.0 and abs(longitude_deg) <= 180.0):
+            raise BadField(f"{latitude_deg}, {longitude_deg} is no latitude and longitude", field="pins")
+        at = geodesy.enu(self.origin, [(latitude_deg, longitude_deg, self.origin[2])])
+        if np.linalg.norm(at) >= MOST_FROM_ORIGIN_M:
+            raise BadField(f"{latitude_deg}, {longitude_deg} is 100 km from the map or more", field="pins")
+        x, y, _ = se3.apply(se3.inverse(self.T_enu_map), at)[0].tolist()
+        return x, y
 
     def projected(self, points: NDArray[np.float64], epsg: int) -> NDArray[np.float64]:
         """Points (n, 3) of the map, metres, in a projected reference system: east, north, metres above the ellipsoid.

@@ -56,9 +56,9 @@ export async function send(path, body = {}) {
   return (await checked(answer)).json();
 }
 
-/** Ask the service to keep a file: POST with its bytes as body. */
-export async function sendFile(path, file, type) {
-  const answer = await fetch(path, { method: "POST", headers: { ...headers("application/json"), "content-type": type }, body: file });
+/** Ask the service to keep a file, a Blob: POST with its bytes as body. */
+export async function sendFile(path, file) {
+  const answer = await fetch(path, { method: "POST", headers: { ...headers("application/json"), "content-type": file.type }, body: file });
   return (await checked(answer)).json();
 }
 

@@ -4,6 +4,7 @@
 import { readAll, readFile, remove, send, sendFile } from "/api.js";
 import { byId, element, lastOf } from "/dom.js";
 import { PicturePins } from "/picture.js";
+import { plainPicture } from "/plainpicture.js";
 import { inWords } from "/tools.js";
 
 const MOST_SIDE = 4096;
@@ -25,16 +26,17 @@ export function planeOf([one, other]) {
   };
 }
 
-/** A picture as it is drawn, and its size as its bytes have it; the turn that EXIF asks for is not made. */
-async function decoded(blob) {
-  const whole = await createImageBitmap(blob, { imageOrientation: "none" });
+/** A picture as it is drawn, its size as its bytes have it, and the file; the turn that EXIF asks for is not made. */
+async function decoded(bytes) {
+  const file = plainPicture(new Uint8Array(bytes));
+  const whole = await createImageBitmap(file);
   const { width, height } = whole;
   const share = Math.min(1, MOST_SIDE / Math.max(width, height));
-  if (share === 1) return { image: whole, width, height };
+  if (share === 1) return { image: whole, width, height, file };
   const resize = { resizeWidth: Math.max(1, Math.round(share * width)), resizeHeight: Math.max(1, Math.round(share * height)), resizeQuality: "medium" };
   const image = await createImageBitmap(whole, resize);
   whole.close();
-  return { image, width, height };
+  return { image, width, height, file };
 }
 
 /**
@@ -162,7 +164,7 @@ export class Plans {
     const known = this.pictures.get(plan.name);
     if (known) return known;
     const map = this.map;
-    const picture = await decoded(new Blob([await readFile(`/v1/${plan.name}:download`)], { type: plan.media_type }));
+    const picture = await decoded(await readFile(`/v1/${plan.name}:download`));
     if (map === this.map) this.pictures.set(plan.name, picture);
     return picture;
   }
@@ -177,15 +179,15 @@ export class Plans {
   async add(file) {
     this.say("");
     if (!this.view) return this.say("This browser offers no WebGL: the map cannot be clicked.");
-    const picture = await decoded(file).catch(() => null);
+    const picture = await file.arrayBuffer().then(decoded).catch(() => null);
     if (!picture) return this.say(`${file.name} cannot be shown: a plan is a PNG or a JPEG picture.`);
-    this.begin({ name: "", title: file.name.replace(/\.[^.]*$/, ""), storey: "", file, picture });
+    this.begin({ name: "", title: file.name.replace(/\.[^.]*$/, ""), storey: "", isNew: true, picture });
   }
 
   async pinAnew(plan) {
     this.say("");
     const picture = await this.read(plan).catch((error) => this.say(`${titleOf(plan)}: ${inWords(error)}`));
-    if (picture) this.begin({ name: plan.name, title: titleOf(plan), storey: plan.storey, file: null, picture }, plan.pins);
+    if (picture) this.begin({ name: plan.name, title: titleOf(plan), storey: plan.storey, isNew: false, picture }, plan.pins);
   }
 
   /** First two points of the picture, then the same two of the map. */
@@ -253,7 +255,7 @@ export class Plans {
     const leave = element("button", { type: "button", class: "plain", onclick: () => this.tools.use("none") }, "Cancel");
     return [
       element("strong", {}, "Does it lie right? Click to move the nearer point."),
-      draft.file && element("div", { class: "actions names" }, name, storey),
+      draft.isNew && element("div", { class: "actions names" }, name, storey),
       element("div", { class: "actions" }, save, again, leave, said),
     ];
   }
@@ -262,11 +264,11 @@ export class Plans {
     const { draft } = this;
     const pins = this.draftPins();
     let { name } = draft;
-    if (draft.file) {
+    if (draft.isNew) {
       const id = freeId(title, this.plans);
       const asked = new URLSearchParams({ plan_id: id, display_name: title, ...(storey ? { storey } : {}) });
       for (const { pixel_x, pixel_y, x_m, y_m } of pins) asked.append("pins", [pixel_x, pixel_y, x_m, y_m].join(","));
-      name = (await sendFile(`/v1/${this.map}/plans?${asked}`, draft.file, await kindOf(draft.file))).name;
+      name = (await sendFile(`/v1/${this.map}/plans?${asked}`, draft.picture.file)).name;
     } else await send(`/v1/${name}:pin`, { pins });
     this.pictures.set(name, draft.picture);
     this.draft = null;
@@ -299,12 +301,6 @@ const titleOf = (plan) => plan.display_name || lastOf(plan.name);
 
 function scaleOf({ metres_per_pixel: metres }) {
   return metres < 0.1 ? `${(100 * metres).toPrecision(2)} cm` : `${metres.toPrecision(2)} m`;
-}
-
-/** What its first bytes say, not its name. */
-async function kindOf(file) {
-  const [first] = new Uint8Array(await file.slice(0, 1).arrayBuffer());
-  return first === 0xff ? "image/jpeg" : "image/png";
 }
 
 /** An id made of a name that no plan has yet. */

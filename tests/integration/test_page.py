@@ -15,12 +15,14 @@ import pytest
 
 from revisit import Client
 from revisit.api.scopes import Scope
+from revisit.core.errors import MalformedBody
 from revisit.formats.glb import encode_scene
+from revisit.formats.pictures import Picture, PictureLimits, read_picture
 from tests.support.browser import Page, browser
 from tests.support.credentials import a_key
 from tests.support.fleet_in_service import fleet_in, slipped_fleet_in
 from tests.support.live_service import live_service
-from tests.support.made_pictures import a_png
+from tests.support.made_pictures import a_png, part
 from tests.support.made_up_anchors import new_anchors, sent, with_stamps
 from tests.support.page_town import EACH_BY_ITSELF, fill
 from tests.support.patience import eventually, in_time
@@ -579,6 +581,39 @@ def on_ground(page, x, y):
         [x, y],
     )
     return box["x"] + at["x"], box["y"] + at["y"]
+
+
+def turned_by_exif() -> bytes:
+    """A JPEG of 60 x 20 that EXIF asks to turn, with a second one behind its end, as telephones write them."""
+    image = pytest.importorskip("PIL.Image", reason="Pillow writes the photograph")
+    noted, file = image.Exif(), io.BytesIO()
+    noted[0x0112] = 6
+    image.new("RGB", (60, 20), "white").save(file, "JPEG", exif=noted.tobytes(), progressive=True)
+    return 2 * file.getvalue()
+
+
+PLAIN = """async (text) => {
+  const { plainPicture } = await import("/plainpicture.js");
+  const file = plainPicture(Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0)));
+  const { width, height } = await createImageBitmap(file);
+  const bytes = new Uint8Array(await file.arrayBuffer());
+  return { width, height, type: file.type, bytes: btoa(Array.from(bytes, (one) => String.fromCharCode(one)).join("")) };
+}"""
+
+
+def test_a_photograph_is_sent_without_its_notes_and_read_as_its_bytes_have_it(page):
+    limits = PictureLimits(100, 30_000)
+    for sent_as, (kind, width, height) in {
+        turned_by_exif(): ("image/jpeg", 60, 20),
+        a_png(40, 30, part(b"eXIf", b"MM\x00*")) + b"more": ("image/png", 40, 30),
+    }.items():
+        with pytest.raises(MalformedBody):
+            read_picture(sent_as, limits)
+        plain = page.tab.evaluate(PLAIN, base64.b64encode(sent_as).decode())
+        assert (plain["type"], plain["width"], plain["height"]) == (kind, width, height)
+        data = base64.b64decode(plain["bytes"])
+        assert read_picture(data, limits) == Picture(kind, width, height)
+        assert b"Exif" not in data and b"eXIf" not in data
 
 
 @pytest.mark.parametrize(

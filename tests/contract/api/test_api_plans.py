@@ -13,7 +13,10 @@ import pytest
 from typer.testing import CliRunner
 
 from revisit.cli.app import app
+from revisit.core.geometry import se3
+from revisit.sdk.earth import OnEarth
 from revisit.sdk.errors import AlreadyExists, ApiError, InvalidArgument, NotFound
+from revisit.sdk.groups.maps import Maps
 from revisit.service.domain import limits
 from revisit.service.features.graph.session_poses import PackedSubmaps
 from revisit.service.ports.blobs import PLAN_BLOB
@@ -257,3 +260,23 @@ def test_plans_are_put_underneath_pinned_listed_and_removed_from_the_command_lin
     assert code != 0 and "0,0:1,1" in said
     assert revisit("remove", map_id, "ground", "--yes")[0] == 0
     assert client.plans.list(town) == []
+
+
+def test_pins_on_earth_are_places_of_the_frame_that_anchors_hold(service, town, client, tmp_path, monkeypatch):
+    file, map_id = tmp_path / "site.png", town.partition("/")[2]
+    file.write_bytes(a_png())
+    earth = OnEarth((48.0, 11.0, 500.0), se3.from_yaw(0.5, (3.0, -2.0, 0.0)))
+    held = {"frame-1": earth}
+    monkeypatch.setattr(Maps, "on_earth", lambda *_: held)
+    corners = [earth.pose(se3.from_yaw(0.0, (x, y, 0.0))) for x, y in ((10.0, 20.0), (50.0, 20.0))]
+    pins = [f"--pin={40 * n},0={at.latitude_deg!r},{at.longitude_deg!r}" for n, at in enumerate(corners)]
+    command = ["plans", "add", map_id, str(file), "--on-earth", "--http", service.http]
+    assert CliRunner().invoke(app, [*command, *pins]).exit_code == 0
+    (made,) = client.plans.list(town)
+    assert np.allclose([ground(pin) for pin in made.pins], [(10.0, 20.0), (50.0, 20.0)], atol=1e-3)
+    exchanged = [f"--pin={40 * n},0={at.longitude_deg!r},{at.latitude_deg!r}" for n, at in enumerate(corners)]
+    refused = CliRunner().invoke(app, [*command, *exchanged])
+    assert refused.exit_code != 0 and "100 km from the map" in str(refused.exception)
+    held.clear()
+    refused = CliRunner().invoke(app, [*command, *pins])
+    assert refused.exit_code != 0 and "has 0 frames on earth" in refused.output
