@@ -723,8 +723,8 @@ class Plan(Resource):
     pins: tuple[PlanPin, ...] = ()
     """Two. Each goes with the submap that was nearest to it when it was set, as versions of the map move that."""
     frame: str = ""
-    """The frame of the map that the pins are in; empty for one that was set before the map had a version: then it is
-    the odometry of the oldest session.
+    """The frame of the map that the pins are in; empty while the map has no version: then it is the odometry of the
+    oldest session.
     """
     map_version: int = 0
     """The version of the map by which they are where they are, 0 for none."""

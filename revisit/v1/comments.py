@@ -492,7 +492,7 @@ COMMENTS = {
     'revisit.v1.PinPlanRequest.name': 'maps/{map}/plans/{plan}',
     'revisit.v1.PinPlanRequest.pins': 'Two, in the frame of the map that has the most submaps.',
     'revisit.v1.Plan': 'A picture underneath a map: scaled, turned and moved so that its two pins lie where they belong.',
-    'revisit.v1.Plan.frame': 'The frame of the map that the pins are in; empty for one that was set before the map had a version: then it is the odometry of the oldest session.',
+    'revisit.v1.Plan.frame': 'The frame of the map that the pins are in; empty while the map has no version: then it is the odometry of the oldest session.',
     'revisit.v1.Plan.map_version': 'The version of the map by which they are where they are, 0 for none.',
     'revisit.v1.Plan.media_type': 'image/png or image/jpeg',
     'revisit.v1.Plan.name': 'maps/{map}/plans/{plan}',

@@ -14,21 +14,41 @@ from revisit.service.features.graph.session_poses import PackedSubmaps
 from revisit.service.features.plans.rules import HeldPin, PlanPin, PlanView
 from revisit.service.ports.transactions import UnitOfWork
 
+Placed = tuple[str, NDArray[np.int64], NDArray[np.float64]]
+"""The name of a frame, and its submaps: numbers (n,) and poses (n, 4, 4)."""
+
 
 def held_pins(uow: UnitOfWork, of_map: MapRecord, pins: Sequence[PlanPin]) -> tuple[str, tuple[HeldPin, ...]]:
-    """The frame of a map with the most submaps, "" of one without a version, and the pins, held by submaps of it."""
-    if not of_map.map_version:
+    """The frame of a map with the most submaps, and the pins, held by submaps of it.
+
+    Of a map without a version the frame is "", the odometry of its oldest session. A map without submaps holds no pin.
+    """
+    frame, numbers, T_map_submap = _largest_frame(uow, of_map) if of_map.map_version else _oldest_session(uow, of_map)
+    if not len(numbers):
         return "", tuple(map(HeldPin, pins))
+    return frame, tuple(_held(pin, numbers, T_map_submap) for pin in pins)
+
+
+def _largest_frame(uow: UnitOfWork, of_map: MapRecord) -> Placed:
+    """The frame of the version in force that has the most submaps."""
     rows = uow.session_poses.find(of_map.tenant, map_id=of_map.map_id, version=of_map.map_version)
     parts: dict[str, list[PackedSubmaps]] = {}
     for row in rows:
         parts.setdefault(row.frame, []).append(PackedSubmaps.of(row.submaps))
     if not parts:
-        return "", tuple(map(HeldPin, pins))
+        return _oldest_session(uow, of_map)
     frame = max(sorted(parts), key=lambda name: sum(len(one.numbers) for one in parts[name]))
     numbers = np.concatenate([one.numbers for one in parts[frame]])
-    T_map_submap = np.concatenate([one.T_map_submap for one in parts[frame]])
-    return frame, tuple(_held(pin, numbers, T_map_submap) for pin in pins)
+    return frame, numbers, np.concatenate([one.T_map_submap for one in parts[frame]])
+
+
+def _oldest_session(uow: UnitOfWork, of_map: MapRecord) -> Placed:
+    """The odometry of the oldest session with submaps."""
+    placed = uow.submaps.placed(of_map.tenant, of_map.map_id)
+    oldest = min((one.session_number for one in placed), default=0)
+    own = [one for one in placed if one.session_number == oldest]
+    poses = np.array([one.T_odom_submap for one in own], dtype=np.float64).reshape(-1, 4, 4)
+    return "", np.array([one.number for one in own], dtype=np.int64), poses
 
 
 def _held(pin: PlanPin, numbers: NDArray[np.int64], T_map_submap: NDArray[np.float64]) -> HeldPin:

@@ -210,6 +210,8 @@ def drive_of_two(client, session):
 
 def test_pins_go_with_the_submaps_that_they_are_nearest_to(client, session, town, service):
     drive_of_two(client, session)
+    early = client.plans.create(town, "early", a_png(), [((0, 0), (0.5, 0.0)), ((40, 0), (20.5, 0.0))])
+    assert (early.frame, early.map_version) == ("", 0)
     client.wait(client.optimise_map(town))
     first, second = (client.get_submap(f"{session.name}/submaps/s{number}").in_map for number in range(2))
     places = [tuple(one.T_map[:2, 3] + 0.25) for one in (first, second)]
@@ -220,6 +222,9 @@ def test_pins_go_with_the_submaps_that_they_are_nearest_to(client, session, town
     after = client.plans.get(made)
     assert ground(after.pins[0]) == pytest.approx(ground(made.pins[0]))
     assert ground(after.pins[1]) == pytest.approx(np.add(ground(made.pins[1]), (3.0, 0.0)))
+    early = client.plans.get(early)
+    offs = np.subtract([ground(pin) for pin in early.pins], [one.T_map[:2, 3] for one in (first, second)])
+    assert early.frame == first.frame and np.allclose(offs, [(0.5, 0.0), (3.5, 0.0)])
     client.delete(f"{session.name}/submaps/s1")
     assert np.allclose([ground(pin) for pin in client.plans.get(made).pins], places)
 
