@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import asyncio
+import gc
 import multiprocessing
 import os
 import sys
@@ -151,6 +152,7 @@ def _serve(settings: Settings, state: State) -> int:
             "Listen on 127.0.0.1, or set REVISIT_INSECURE_BIND=1 if you mean it."
         )
     _tell_start("serve")
+    gc.disable()  # nothing that a start makes is garbage: until the gateway serves nobody looks for it
     from revisit.service.compiled_kernels import choose_cache
     from revisit.service.engines.local.files.home_lock import HomeTaken
     from revisit.service.engines.stored_blobs import BlobStoreUnusable
@@ -172,6 +174,8 @@ def _serve(settings: Settings, state: State) -> int:
         if isinstance(error, OSError) and error.filename is not None:
             return _refuse(f"cannot use {error.filename}: {error.strerror}; REVISIT_HOME names the data folder")
         return _refuse(f"cannot serve on {settings.host}: {error}")
+    finally:
+        gc.enable()
 
 
 def _missing_protection(settings: Settings, state: State) -> list[str]:

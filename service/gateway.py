@@ -97,6 +97,7 @@ class _Gateway:
         await asyncio.to_thread(_load_kernels)
         # Objects made during the start live on. Searching them for garbage would hold up requests for 70 to 90 ms.
         gc.freeze()
+        gc.enable()
         self._watch_load(context)
         self._announce(http_port, grpc_port)
         tell_supervisor(READY)

@@ -22,6 +22,8 @@ from tests.support.patience import PATIENCE_S
 from tests.support.skips import IN_CI, judged
 from tests.support.slow_files import is_wholly_slow
 
+gc.disable()
+
 settings.register_profile(
     "ours", deadline=None, derandomize=IN_CI, print_blob=True, suppress_health_check=[HealthCheck.too_slow]
 )
@@ -65,9 +67,10 @@ def _folder(item: pytest.Item) -> str:
 def pytest_collection_finish() -> None:
     """What was imported and collected stays: the garbage collector looks at a million objects less, a second each time.
 
-    `gc.get_objects` leaves them out from now on.
+    `gc.get_objects` leaves them out from now on. Until here nothing was garbage, and nobody looked.
     """
     gc.freeze()
+    gc.enable()
 
 
 def pytest_sessionfinish() -> None:

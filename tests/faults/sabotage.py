@@ -259,7 +259,6 @@ SABOTAGES = (
         },
         "tests/integration/test_order_of_entry.py::"
         "test_loops_wait_for_those_that_decide_about_them_also_where_a_worker_ends",
-        quick=True,
     ),
     Sabotage(
         "a repeated request runs its job again",
@@ -271,7 +270,6 @@ SABOTAGES = (
         {f"{SERVICE}features.ingest.posting:content_hash": lambda _hash: lambda _content: "the same"},
         "tests/integration/test_use_cases.py::"
         "test_a_repeated_post_gives_the_first_answer_and_another_content_is_refused",
-        quick=True,
     ),
     Sabotage(
         "a key can be used twice",
@@ -467,7 +465,6 @@ SABOTAGES = (
         "everyone who watches looks at the log",
         {f"{SERVICE}features.waiting.event_tail:EventTail._poll": lambda _poll: lambda tail: tail._read()},
         "tests/unit/service/test_event_tail.py::test_many_who_watch_cause_one_look_at_a_time",
-        quick=True,
     ),
     Sabotage(
         "everyone who waits looks for the own operation",

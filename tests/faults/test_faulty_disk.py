@@ -24,7 +24,7 @@ from tests.support.town import SESSION
 pytestmark = pytest.mark.skipif(COMPILER is None, reason="no C compiler here: a disk cannot be made to fail")
 
 STORAGE_FAILED = 74
-QUICK = 2
+QUICK = 1
 ATTEMPTS = 3
 
 REFUSED_ON_A_BAD_DISK = EXPECTED | {422, 507}

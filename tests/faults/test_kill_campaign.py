@@ -43,7 +43,7 @@ def kill_worker(fleet: Fleet, rng: random.Random) -> None:
         os.kill(rng.choice(pids), signal.SIGKILL)
 
 
-@pytest.mark.parametrize("kills", sizes("KILLS", 5, 1_000))
+@pytest.mark.parametrize("kills", sizes("KILLS", 3, 1_000))
 @pytest.mark.timeout(7200)
 def test_what_was_acknowledged_survives_kills_of_gateway_and_workers_once(fleet, folder, kills):
     rng, campaign = random.Random(17), Campaign("P1", kills)

@@ -62,7 +62,7 @@ async def one_after_the_other(poses, order, pipeline=PipelineConfig()) -> World:
 
 
 @pytest.mark.parametrize("pipeline", [EVERY_PAIR, PipelineConfig()], ids=["every pair", "as shipped"])
-@pytest.mark.parametrize("submaps", sizes("ENTRIES", 48, 120))
+@pytest.mark.parametrize("submaps", sizes("ENTRIES", 32, 120))
 @pytest.mark.timeout(3600)
 async def test_eight_workers_in_one_map_find_what_one_finds_in_the_order_of_entry(
     tmp_path, searches, pipeline, submaps

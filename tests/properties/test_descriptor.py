@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 import pytest
 
@@ -11,11 +13,17 @@ from revisit.core.geometry import se3
 from tests.support.yards import moved, recognised, yard
 
 
+@cache
+def descriptor_of(seed: int) -> PlaceDescriptor:
+    """That of a yard as it stands."""
+    return recognised(yard(seed, 40))[0]
+
+
 @pytest.mark.parametrize("yaw_deg", [30.0, 90.0, 137.0, 180.0])
 def test_a_turned_place_is_more_like_itself_than_like_any_other(yaw_deg: float) -> None:
-    place = recognised(yard(1, 40))[0]
+    place = descriptor_of(1)
     turned = recognised(moved(yard(1, 40), se3.from_yaw(np.radians(yaw_deg))))[0]
-    others = [place.similarity(recognised(yard(seed, 40))[0]) for seed in (2, 3, 4)]
+    others = [place.similarity(descriptor_of(seed)) for seed in (2, 3, 4)]
     assert place.similarity(turned) > max(others)
 
 

@@ -7,6 +7,7 @@ weighed by the information matrix; the optimiser is SciPy's.
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from scipy.optimize import least_squares
 from scipy.sparse import lil_matrix
 from scipy.spatial.transform import Rotation
@@ -17,6 +18,7 @@ from revisit.core.pose_graph.graph import LoopEdge, Node, PoseGraph, Trajectory
 from revisit.core.pose_graph.optimisation import Robustness, optimise
 
 
+@pytest.mark.slow
 def test_an_independent_optimiser_finds_the_same_poses_in_a_written_graph() -> None:
     graph = _graph()
     ours = optimise(graph, Robustness.PLAIN).T_map_submap

@@ -388,6 +388,7 @@ def test_poses_that_are_not_finite_are_refused() -> None:
         PoseGraph.of([replace(track, T_odom_submap=poses)], [])
 
 
+@pytest.mark.slow
 @pytest.mark.real_data
 @needs_real_data
 def test_half_wrong_loops_do_not_move_a_recorded_graph() -> None:
