@@ -107,6 +107,8 @@ def _run(options: argparse.Namespace, settings: Settings, state: State) -> int:
         _tell_start(options.command)
     if options.command == "search":
         return _search(settings)
+    if options.command == "worker":
+        gc.disable()  # until it takes jobs, as in `_serve`
     from revisit.service.composition import run_worker, worker_seen
 
     if options.command == "seen":
@@ -115,7 +117,10 @@ def _run(options: argparse.Namespace, settings: Settings, state: State) -> int:
         from revisit.service.worker_host import run_workers
 
         return run_workers(settings)
-    run_worker(settings, options.id, options.parent)
+    try:
+        run_worker(settings, options.id, options.parent)
+    finally:
+        gc.enable()
     return 0
 
 

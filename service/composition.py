@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import hashlib
 import hmac
 import importlib
@@ -258,6 +259,7 @@ def run_worker(settings: Settings, worker_id: str | None, parent_pid: int | None
         limits,
         tracer,
     )
+    gc.enable()  # a start makes next to no garbage: whoever begins one looks for none
     try:
         worker.run()
     finally:

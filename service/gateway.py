@@ -95,9 +95,7 @@ class _Gateway:
         upkeep.start()
         metrics = self._metrics_server(context)
         await asyncio.to_thread(_load_kernels)
-        # Objects made during the start live on. Searching them for garbage would hold up requests for 70 to 90 ms.
-        gc.freeze()
-        gc.enable()
+        _look_for_garbage_again()
         self._watch_load(context)
         self._announce(http_port, grpc_port)
         tell_supervisor(READY)
@@ -238,6 +236,12 @@ class _Gateway:
             raise OSError(f"port {port} for gRPC cannot be taken; REVISIT_GRPC_PORT names another") from error
         self._lookout = asyncio.create_task(open_connections.watch(bound), name="open-connections")
         return server, bound
+
+
+def _look_for_garbage_again() -> None:
+    """Objects made during the start live on. Searching them would hold up requests for 70 to 90 ms."""
+    gc.freeze()
+    gc.enable()
 
 
 def _load_kernels() -> None:

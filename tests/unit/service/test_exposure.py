@@ -15,6 +15,7 @@ from revisit.service.access_rules import access_rules
 from revisit.service.composition import offline_use_cases
 from revisit.service.features.keys.calls import CreateKey
 from revisit.service.settings import Settings
+from tests.support.made_database import made_database
 
 ADDRESSES = {"127.0.0.1": False, "::1": False, "localhost": False, "0.0.0.0": True, "::": True, "192.0.2.7": True}
 
@@ -31,9 +32,7 @@ def served(monkeypatch, tmp_path):
 
 
 def make_key():
-    from revisit.service.engines.local.sqlite.migration import migrate
-
-    migrate(Settings().database)
+    made_database(Settings().database)
     with offline_use_cases(Settings()) as use_cases:
         return asyncio.run(use_cases.keys.create(CreateKey("acme", ["query"]))).record
 
