@@ -17,7 +17,7 @@ from revisit.service.engines.local.sqlite.connections import DATABASE, open_to_r
 from revisit.service.engines.local.sqlite.examination import examine
 from revisit.service.features.catalogue.downloads import DownloadKind
 from revisit.service.features.deletion.blob_references import blobs_of_submap
-from revisit.service.ports.blobs import CLOUD_BLOB, MAP_LAYOUT_BLOB, NEURAL_MAP_BLOB, PLACE_BLOB, TILE_BLOB
+from revisit.service.ports.blobs import CLOUD_BLOB, MAP_LAYOUT_BLOB, NEURAL_MAP_BLOB, PLACE_BLOB, PLAN_BLOB, TILE_BLOB
 from tests.faults.drive import undisturbed
 from tests.support.campaigns import Campaign, sizes
 from tests.support.service_world import SESSION, TENANT, World, open_session, sqlite_world, submap
@@ -68,7 +68,7 @@ def flipped(data: bytes, rng: random.Random) -> bytes:
 def test_a_flipped_bit_of_any_kind_of_blob_is_noticed_and_the_others_are_whole(tmp_path):
     (tmp_path / "home").mkdir()
     undisturbed(tmp_path / "home", tmp_path / "log")
-    rng, kinds = random.Random(29), {CLOUD_BLOB, PLACE_BLOB, NEURAL_MAP_BLOB, TILE_BLOB, MAP_LAYOUT_BLOB}
+    rng, kinds = random.Random(29), {CLOUD_BLOB, PLACE_BLOB, NEURAL_MAP_BLOB, TILE_BLOB, MAP_LAYOUT_BLOB, PLAN_BLOB}
     with closing(open_to_read(tmp_path / "home" / DATABASE)) as rows:
         named = list(named_blobs(rows))
     assert {blob.kind for blob in named} == kinds
