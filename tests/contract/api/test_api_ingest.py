@@ -80,15 +80,14 @@ def test_another_recording_is_not_taken_for_the_rest_of_a_session(recording, whe
 @pytest.mark.parametrize(
     "other",
     [
-        {"shift_ns": 7},
-        {"step_m": 0.9},
-        {"scans": 30},
-        {"scans": 12},
-        {"clouds": 40},
-        {"detour_m": 9.0},
-        {"turned_rad": 0.1},
+        pytest.param({"shift_ns": 7}, id="times"),
+        pytest.param({"step_m": 0.9}, id="poses", marks=pytest.mark.slow),
+        pytest.param({"scans": 30}, id="longer"),
+        pytest.param({"scans": 12}, id="shorter"),
+        pytest.param({"clouds": 40}, id="clouds"),
+        pytest.param({"detour_m": 9.0}, id="detour", marks=pytest.mark.slow),
+        pytest.param({"turned_rad": 0.1}, id="turned", marks=pytest.mark.slow),
     ],
-    ids=["times", "poses", "longer", "shorter", "clouds", "detour", "turned"],
 )
 def test_a_finished_session_is_no_success_for_another_recording(recording, where, service, tmp_path, other):
     invoke(recording, *where)
