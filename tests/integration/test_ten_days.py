@@ -1,6 +1,7 @@
 """Ten days of one circuit in one map, whose policy keeps one view of a place: index and surfaces stay near those of one
 session, bytes below half of those of one that keeps its scans; recall and poses stay; what stood for a while is gone
-from the map of now. Simulated. Ten minutes of a core.
+from the map of now; an eleventh day is recalled without the neural maps of what is retired. Simulated. Ten minutes of a
+core.
 """
 
 from __future__ import annotations
@@ -42,6 +43,7 @@ pytestmark = [pytest.mark.slow, pytest.mark.timeout(7200)]
 
 DAYS = int(os.environ.get("REVISIT_CIRCUIT_DAYS", "10"))
 POLICY = "scans=24h,best=1,rejected=1d"
+RELEASED = f"{POLICY},retired=1d"
 WITHIN_M, WITHIN_RAD = 2.0, np.radians(5.0)
 """A loop is right that is off by no more."""
 
@@ -74,6 +76,8 @@ class Years:
     loops: int = 0
     driven_bytes: int = 0
     """Of the first session, before any policy was followed."""
+    released: dict[str, int] = field(default_factory=dict)
+    """Bytes by part, of all days, once retired submaps have lost their neural maps."""
     moved_sigmas: float = 0.0
     points: np.ndarray = field(default_factory=lambda: np.empty((0, 3)))
     """Of the surface of now, in the world (n, 3)."""
@@ -110,8 +114,19 @@ async def driven(home: Path) -> Years:
             f"day {number}: {described_s:.0f} CPU s, {found_by}, {counts(world)}, {years.grown.get(number)}", flush=True
         )
     years.error_m = place_in_world(world, years)
+    await released(world, recogniser, years)
     world.context.transactions.close()
     return years
+
+
+async def released(world: World, recogniser: CoreRecogniser, years: Years) -> None:
+    """Retired submaps lose their neural maps; then one more day is driven."""
+    before = poses(world)
+    await retained(world, RELEASED)
+    years.released, years.moved_sigmas = weighed(world.home), max(years.moved_sigmas, most_moved(before, poses(world)))
+    await drive_of(world, recogniser, years, years.circuit.of_day(DAYS + 1))
+    await optimised(world)
+    judge_loops(world, years, DAYS + 1)
 
 
 async def drive_of(world: World, recogniser: CoreRecogniser, years: Years, day: Day) -> None:
@@ -227,6 +242,12 @@ def test_index_and_surface_are_twice_those_of_one_session_at_most_and_bytes_half
     assert last.indexed <= 2 * first.indexed
     assert last.surface_bytes <= 2 * first.surface_bytes
     assert last.bytes <= 0.5 * years.driven_bytes
+
+
+def test_neural_maps_of_all_days_that_are_left_take_two_and_a_half_times_those_of_one(years):
+    of_first, of_all = (parts["neural maps"] for parts in (years.grown[1].parts, years.released))
+    print(f"released: {sum(years.released.values())} {years.released}, recall {years.recalled[DAYS + 1]}")
+    assert of_all <= 2.5 * of_first and years.recalled[DAYS + 1] >= 0.98
 
 
 def test_the_last_day_is_recalled_and_no_loop_is_false(years):
