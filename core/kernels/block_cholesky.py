@@ -133,8 +133,9 @@ def solved(factor: BlockFactor, right: Array64) -> Array64:
     return found.T.reshape(right.shape)
 
 
-def inverse_diagonal(factor: BlockFactor) -> Array64:
-    """The blocks (n, 6, 6) on the diagonal of the inverse of the matrix of a factor, which is used up by it.
+def inverse_blocks(factor: BlockFactor, links: int = 0) -> tuple[Array64, Array64]:
+    """Blocks of the inverse of the matrix of a factor, which is used up by it: (links, 6, 6), at the rows and columns
+    of the first `links` pairs that its structure is of, and (n, 6, 6), on the diagonal.
 
     Of the inverse only blocks with a place in the factor are made, from the last group to the first (Takahashi's
     equations): all that a group needs lies in the groups of its rows.
@@ -143,7 +144,15 @@ def inverse_diagonal(factor: BlockFactor) -> Array64:
     longest = SIDE * (WIDEST + int(np.diff(structure.begins).max(initial=0)))
     gains, summed = np.empty((WIDEST * SIDE, longest)), np.empty((WIDEST * SIDE, longest))
     _invert_selected(*factor, gains, summed, np.empty(SIDE * longest))
-    places, widths = structure.places[-count:, None, None], structure.widths[-count:, None, None]
+    beside = _blocks(factor, slice(links))
+    turned = structure.turned[:links]
+    beside[turned] = beside[turned].transpose(0, 2, 1)
+    return beside, _blocks(factor, slice(len(structure.places) - count, None))
+
+
+def _blocks(factor: BlockFactor, which: slice) -> Array64:
+    """The blocks (b, 6, 6) at some of the places of a structure, as they lie there."""
+    places, widths = factor.structure.places[which, None, None], factor.structure.widths[which, None, None]
     return np.asarray(factor.numbers[places + np.arange(SIDE)[:, None] * widths + np.arange(SIDE)])
 
 

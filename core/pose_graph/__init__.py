@@ -12,6 +12,8 @@ steady_faults  scale, slope and heading of odometry, by loops with other session
 unconfirmed    steps that may be broken, and loops that these may explain, by the loops in the map
 broken_steps   slips, jumps, turns and tilts of odometry, by loops on both sides
 faults         faults of a session's odometry, and their mending
+held_component a component as it was solved, as terms of least squares
+odometry_weights odometry that the loops show to be better than it states
 optimisation   the most likely poses, and which loops they rest on
 anchors        places of points that the world outside tells, and how a map lies in that world
 alignment      the place and heading of a level map by its anchors

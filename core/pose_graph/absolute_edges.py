@@ -110,6 +110,10 @@ class GroundedEdges:
         count = len(self.edges)
         return GroundedEdges(self.edges.weighted(weights[:count]), self.absolute.weighted(weights[count:]))
 
+    def surer(self, factors: Array64) -> GroundedEdges:
+        """The same with the standard deviations of the first s of them, edges, times `factors` (s, 6)."""
+        return replace(self, edges=self.edges.surer(factors))
+
     def errors(self, poses: Array64) -> Array64:
         """The errors (e + k, 6) of poses (n, 4, 4)."""
         return np.concatenate([self.edges.errors(poses), self.absolute.errors(poses)])

@@ -78,7 +78,8 @@ class Mending:
         motions[steps] = self.motions
         covariances[steps] += self.variances[:, :, None] * np.eye(6)
         poses = composed(track.T_odom_submap[0], motions)
-        return replace(track, T_odom_submap=poses, step_covariances=covariances)
+        mended = (*track.mended, (self.fault.first, self.fault.last)) if self.fault.kind.is_at_once else track.mended
+        return replace(track, T_odom_submap=poses, step_covariances=covariances, mended=mended)
 
     def undecided(self) -> Mending:
         """The mending of a fault that is undecided."""

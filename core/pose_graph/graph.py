@@ -120,18 +120,21 @@ class Trajectory:
     """The submaps of a session in order.
 
     T_odom_submap (n, 4, 4); step_covariances (n - 1, 6, 6) of the motion from each submap to the next, of the tangent
-    (x, y, z, rx, ry, rz) in the frame of the later one, metres and radians.
+    (x, y, z, rx, ry, rz) in the frame of the later one, metres and radians. odometry: the model that these are by, if
+    any; mended: the submaps from which and up to which steps are not as odometry had them.
     """
 
     session: str
     T_odom_submap: Array64
     step_covariances: Array64
+    odometry: OdometryModel | None = None
+    mended: tuple[tuple[int, int], ...] = ()
 
     @classmethod
     def from_odometry(cls, session: str, T_odom_submap: Array64, model: OdometryModel = OdometryModel()) -> Trajectory:
         """A trajectory whose steps are as uncertain as `model` says."""
         steps_m = np.linalg.norm(np.diff(T_odom_submap[:, :3, 3], axis=0), axis=1)
-        return cls(session, np.asarray(T_odom_submap, dtype=np.float64), model.covariances(steps_m))
+        return cls(session, np.asarray(T_odom_submap, dtype=np.float64), model.covariances(steps_m), model)
 
     def __len__(self) -> int:
         return len(self.T_odom_submap)

@@ -8,7 +8,7 @@ determined: an anchor that acts while the heading is unknown shears the map.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -27,9 +27,9 @@ from revisit.core.pose_graph.anchors import (
     Georeference,
     JudgedAnchor,
 )
-from revisit.core.pose_graph.graph import GraphState, LoopEdge, Node, PoseGraph, Trajectory
+from revisit.core.pose_graph.held_component import HeldComponent
 from revisit.core.pose_graph.least_squares import graduated, minimise, settled
-from revisit.core.pose_graph.normal_equations import Edges
+from revisit.core.pose_graph.odometry_weights import by_weighed_odometry
 
 Array64 = NDArray[np.float64]
 
@@ -63,48 +63,30 @@ class Grounded:
 
 @dataclass(frozen=True)
 class Grounding:
-    """One component with its anchors. `before` (n, 4, 4) are its poses without them, the first of the session that
-    gives the frame first; edges, its steps and the loops in the map; loops, all of its loops by place in the graph.
-    """
+    """One component, as it was solved without them, with its anchors."""
 
-    trajectories: tuple[Trajectory, ...]
-    before: Array64
-    edges: Edges
-    loops: dict[int, LoopEdge]
-    rows: dict[Node, int]
+    component: HeldComponent
     anchors: tuple[Anchor, ...]
     absolute: AbsoluteEdges
 
     @classmethod
-    def of(
-        cls,
-        graph: PoseGraph,
-        states: Sequence[GraphState],
-        T_map_submap: Mapping[str, Array64],
-        sessions: Sequence[str],
-        anchors: Sequence[Anchor],
-    ) -> Grounding:
-        """The component of `sessions`, the first of which gives the frame, by the `states` of the graph's loops."""
-        trajectories = tuple(graph.by_session[one] for one in sessions)
-        nodes = [Node(one.session, ordinal) for one in trajectories for ordinal in range(len(one))]
-        rows = {node: row for row, node in enumerate(nodes)}
-        loops = {n: one for n, one in enumerate(graph.loops) if one.match in rows and one.query in rows}
-        kept = [one for n, one in loops.items() if states[n] is GraphState.IN_MAP]
-        edges = Edges.of_steps(trajectories, rows).joined(Edges.of_loops(kept, rows))
-        before = np.concatenate([T_map_submap[one] for one in sessions])
-        return cls(trajectories, before, edges, loops, rows, tuple(anchors), absolute_edges(anchors, rows))
+    def of(cls, component: HeldComponent, anchors: Sequence[Anchor]) -> Grounding:
+        """A component with these anchors."""
+        return cls(component, tuple(anchors), absolute_edges(anchors, component.rows))
 
     def solved(self) -> Grounded:
         """The component by its anchors, or the reason why they do not hold it."""
-        if (reason := _too_weak(self.anchors, self.absolute, self.before)) is not None:
+        before = self.component.before
+        if (reason := _too_weak(self.anchors, self.absolute, before)) is not None:
             return _refused(self.anchors, reason)
-        terms = GroundedEdges(self.edges, level(0, self.before[0]).joined(self.absolute))
-        poses, kept = _solved(terms, aligned(self.absolute, self.before) @ self.before)
+        terms = GroundedEdges(self.component.edges, level(0, before[0]).joined(self.absolute))
+        poses, kept = _solved(terms, aligned(self.absolute, before) @ before)
         agreeing = list(itertools.compress(self.anchors, kept))
         if _weight(agreeing) < LEAST_SHARE * _weight(self.anchors):
             return _refused(self.anchors, AnchorReason.MOSTLY_DISAGREE)
         if (reason := _too_weak(agreeing, self.absolute.chosen(kept), poses)) is not None:
             return _refused(self.anchors, reason)
+        poses = by_weighed_odometry(self.component.trajectories, _heard(terms, kept), None, poses)
         return Grounded(self._judged(poses, kept), self._solution(terms, poses, kept))
 
     def _judged(self, poses: Array64, kept: NDArray[np.bool_]) -> tuple[JudgedAnchor, ...]:
@@ -116,11 +98,12 @@ class Grounding:
 
     def _solution(self, terms: GroundedEdges, poses: Array64, kept: NDArray[np.bool_]) -> Solution:
         """From poses (n, 4, 4) in the world to those of a map whose first pose stays where it was."""
-        T_world_map, agreeing = poses[0] @ se3.inverse(self.before[0]), self.absolute.chosen(kept)
+        component, agreeing = self.component, self.absolute.chosen(kept)
+        T_world_map = poses[0] @ se3.inverse(component.before[0])
         of_first, covariances = _covariances(_heard(terms, kept), poses)
-        turn, misfits = se3.adjoint(self.before[0]), agreeing.errors(poses)[:, :2]
+        turn, misfits = se3.adjoint(component.before[0]), agreeing.errors(poses)[:, :2]
         georeference = Georeference(
-            session=self.trajectories[0].session,
+            session=component.trajectories[0].session,
             T_world_map=T_world_map,
             covariance=turn @ of_first @ turn.T,
             heading_sigma_rad=heading_sigma_rad(agreeing, poses),
@@ -129,20 +112,13 @@ class Grounding:
             residual_m=float(np.sqrt((misfits**2).sum(axis=1).mean())),
         )
         return Solution(
-            self._by_session(se3.inverse(T_world_map) @ poses),
-            self._by_session(covariances),
-            dict(
-                zip(self.loops, Edges.of_loops(list(self.loops.values()), self.rows).squared_errors(poses), strict=True)
-            ),
-            float(_heard(terms, kept).squared_errors(poses).sum() - self.edges.squared_errors(self.before).sum()),
+            component.by_session(se3.inverse(T_world_map) @ poses),
+            component.by_session(covariances),
+            component.squared_distances(poses),
+            float(_heard(terms, kept).squared_errors(poses).sum() - component.squared_errors(component.before)),
             3 * len(agreeing) + sum(one.heading is not None for one in itertools.compress(self.anchors, kept)) - 4,
             georeference,
         )
-
-    def _by_session(self, values: Array64) -> dict[str, Array64]:
-        """Values (n, ...) of all poses, by the session they belong to."""
-        ends = np.cumsum([len(one) for one in self.trajectories])
-        return {one.session: part for one, part in zip(self.trajectories, np.split(values, ends[:-1]), strict=True)}
 
 
 def _weight(anchors: Sequence[Anchor]) -> int:

@@ -57,6 +57,10 @@ class Terms(Protocol):
         """The same with their information times weights (e,)."""
         ...
 
+    def surer(self: T, factors: Array64) -> T:
+        """The same with the standard deviations of the first s of them, edges, times `factors` (s, 6)."""
+        ...
+
     def errors(self, poses: Array64) -> Array64:
         """Their errors (e, 6)."""
         ...

@@ -11,7 +11,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import scipy.sparse as sparse
@@ -27,7 +27,7 @@ from revisit.core.kernels.block_cholesky import (
     complete,
     factorised,
     halve,
-    inverse_diagonal,
+    inverse_blocks,
     path,
     solved,
 )
@@ -53,7 +53,7 @@ class Edges:
     second: Rows
     T_second_first: Array64
     information: Array64
-    _eliminations: dict[int, Elimination] = field(default_factory=dict, init=False, repr=False, compare=False)
+    _eliminations: dict[int, Elimination] = field(default_factory=dict, repr=False, compare=False)
 
     @classmethod
     def of_motions(
@@ -114,6 +114,16 @@ class Edges:
     def weighted(self, weights: Array64) -> Edges:
         """The same with their information times `weights` (e,)."""
         return Edges(self.first, self.second, self.T_second_first, self.information * weights[:, None, None])
+
+    def surer(self, factors: Array64) -> Edges:
+        """The same with the standard deviations of the first s of them times `factors` (s, 6)."""
+        information, some = self.information.copy(), 1.0 / factors
+        information[: len(some)] *= some[:, :, None] * some[:, None, :]
+        return replace(self, information=information)
+
+    def as_posed(self, poses: Array64) -> Edges:
+        """The same with the motions that poses (n, 4, 4) have: these are the most likely ones, as sure as before."""
+        return replace(self, T_second_first=se3_rows.inverse(poses[self.second]) @ poses[self.first])
 
     def elimination(self, count: int) -> Elimination:
         """How `count` poses between which these edges are will be eliminated; found once."""
@@ -257,7 +267,14 @@ class Factorisation:
 
     def covariances(self) -> Array64:
         """The covariance (n, 6, 6) of the tangent of each pose; the factorisation is used up by it."""
-        return np.asarray(inverse_diagonal(self.factor)[self.places])
+        return self.covariances_with_edges(0)[1]
+
+    def covariances_with_edges(self, edges: int) -> tuple[Array64, Array64]:
+        """The covariances (edges, 6, 6) of the tangents of the first pose with those of the second, of the first
+        `edges` of the equations, and (n, 6, 6) of each pose; the factorisation is used up by it.
+        """
+        across, own = inverse_blocks(self.factor, edges)
+        return across, np.asarray(own[self.places])
 
 
 @dataclass(frozen=True)

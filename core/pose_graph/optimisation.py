@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from functools import cached_property, partial
@@ -19,8 +19,10 @@ from revisit.core.pose_graph.faults import Mending, OdometryFault, doubt
 from revisit.core.pose_graph.graph import GraphState, Node, PoseGraph, Trajectory
 from revisit.core.pose_graph.grounding import Grounding, Solution
 from revisit.core.pose_graph.heading_bias import straightened
+from revisit.core.pose_graph.held_component import HeldComponent
 from revisit.core.pose_graph.least_squares import ROUGHLY, Kernel, cauchy, graduated, huber, minimise, settled
 from revisit.core.pose_graph.normal_equations import Edges, Factorisation
+from revisit.core.pose_graph.odometry_weights import by_weighed_odometry
 from revisit.core.pose_graph.placement import Component, place_sessions
 from revisit.core.pose_graph.steady_faults import steady_faults
 from revisit.core.pose_graph.support import LoopsWithin, joined_stretches, supported_loops
@@ -161,13 +163,15 @@ def by_loops(
         graph, answer, doubtful = _without_faults(graph, answer, progress)
     if sum(map(len, graph.trajectories)) > MOST_SOLVED_TWICE:
         told = [one.fault for some in doubtful[:1] for one in some]
-        return SolvedByLoops(graph, replace(answer, faults=_in_order([*answer.faults, *told])), may_hold=True)
+        answer = replace(_weighed(graph, answer), faults=_in_order([*answer.faults, *told]))
+        return SolvedByLoops(graph, answer, may_hold=True)
     found = [_Otherwise(one, mended := _mended(graph, one), _judged(mended, robustness, progress)) for one in doubtful]
     better = [one for one in found if _explains_more(one.answer, answer, len(one.mendings))]
     least = min((one.answer.price for one in better), default=0.0)
     as_good = [one for one in better if one.answer.price < least + GATE]
     chosen = min(as_good, key=lambda one: (one.steps, one.answer.price), default=None)
-    return SolvedByLoops(graph, answer, may_hold=True, otherwise=chosen)
+    other = chosen and replace(chosen, answer=_weighed(chosen.graph, chosen.answer))
+    return SolvedByLoops(graph, _weighed(graph, answer), may_hold=True, otherwise=other)
 
 
 @dataclass(frozen=True)
@@ -212,23 +216,45 @@ def _on_earth(graph: PoseGraph, answer: OptimisedGraph, anchors: Sequence[Anchor
     for group in answer.components:
         numbers = [n for n, one in enumerate(anchors) if one.node.session in group]
         if numbers:
-            found = Grounding.of(
-                graph, answer.loops, answer.T_map_submap, group, [anchors[n] for n in numbers]
-            ).solved()
+            component = HeldComponent.of(graph, answer.loops, answer.T_map_submap, group)
+            found = Grounding.of(component, [anchors[n] for n in numbers]).solved()
             judged |= dict(zip(numbers, found.anchors, strict=True))
             answer = answer if found.solution is None else _held(answer, found.solution)
     return replace(answer, anchors=tuple(judged[n] for n in range(len(anchors))))
 
 
+def _weighed(graph: PoseGraph, answer: OptimisedGraph) -> OptimisedGraph:
+    """The answer with odometry as sure as each component shows it. Verdicts on loops and covariances stay those by
+    the drift that is stated: an error that sessions share does not show.
+    """
+    for group in answer.components:
+        component = HeldComponent.of(graph, answer.loops, answer.T_map_submap, group)
+        poses = by_weighed_odometry(component.trajectories, component.edges, 0, component.before)
+        if poses is not component.before:
+            chi2_more = component.squared_errors(poses) - component.squared_errors(component.before)
+            answer = replace(
+                answer,
+                T_map_submap=answer.T_map_submap | component.by_session(poses),
+                residuals=_with_residuals(answer, component.squared_distances(poses)),
+                chi2=answer.chi2 + chi2_more,
+            )
+    return answer
+
+
+def _with_residuals(answer: OptimisedGraph, changed: Mapping[int, float]) -> Array64:
+    """The residuals (l,) of an answer, with those of some loops, by number, as they are now."""
+    residuals = answer.residuals.copy()
+    residuals[list(changed)] = list(changed.values())
+    return residuals
+
+
 def _held(answer: OptimisedGraph, solution: Solution) -> OptimisedGraph:
     """The answer with one component as its anchors hold it."""
-    residuals = answer.residuals.copy()
-    residuals[list(solution.residuals)] = list(solution.residuals.values())
     return replace(
         answer,
         T_map_submap=answer.T_map_submap | solution.T_map_submap,
         covariances=answer.covariances | solution.covariances,
-        residuals=residuals,
+        residuals=_with_residuals(answer, solution.residuals),
         chi2=answer.chi2 + solution.chi2_more,
         degrees_of_freedom=answer.degrees_of_freedom + solution.degrees_more,
         georeferences=(*answer.georeferences, solution.georeference),

@@ -91,7 +91,10 @@ class SolvedComponent:
         """The sessions of `T_map_submap` at these poses (n, 4, 4), and the `loops` of the graph that they rest on.
 
         The first submap of session `anchor` is held fast. A session may have fewer poses than its trajectory. Steps
-        that the poses say are broken are those of the poses.
+        that the poses say are broken are as unsure as mended ones.
+
+        The poses are taken as the most likely ones, by odometry that may be surer than it states (`odometry_weights`):
+        how far a loop moves them follows from the drift as stated, as loops are judged by that.
         """
         nodes = [Node(session, ordinal) for session, poses in T_map_submap.items() for ordinal in range(len(poses))]
         self._rows = {node: row for row, node in enumerate(nodes)}
@@ -99,8 +102,8 @@ class SolvedComponent:
         self._anchor = self._rows[Node(anchor, 0)]
         tracks = [_as_mended(graph.by_session[session], poses) for session, poses in T_map_submap.items()]
         measured = Edges.of_loops([graph.loops[number] for number in loops], self._rows)
-        self._edges = Edges.of_steps(tracks, self._rows).joined(measured)
         poses = np.concatenate(list(T_map_submap.values()))
+        self._edges = Edges.of_steps(tracks, self._rows).joined(measured).as_posed(poses)
         # Tangents of the map are levers from its origin: the nearer that is, the fewer digits are lost.
         self._T_map_middle = se3.from_rotation_translation(np.eye(3), poses[:, :3, 3].mean(axis=0))
         self._state = _State(se3.inverse(self._T_map_middle) @ poses, np.zeros((0, 6)))

@@ -97,7 +97,11 @@ def test_a_factorisation_solves_as_the_dense_matrix_does(seed: int, loops: int, 
         np.testing.assert_allclose(factorisation.solve(right[:, 0]), factorisation.solve(right)[:, 0], rtol=1e-9)
     inverse = np.linalg.inv(matrix).reshape(POSES, 6, POSES, 6)
     blocks = [inverse[row, :, row] for row in range(POSES)]
-    np.testing.assert_allclose(factorisation.covariances(), blocks, rtol=1e-5, atol=1e-7)
+    across, own = factorisation.covariances_with_edges(len(edges))
+    np.testing.assert_allclose(own, blocks, rtol=1e-5, atol=1e-7)
+    of_edges = [inverse[a, :, b] for a, b in zip(edges.first, edges.second, strict=True)]
+    np.testing.assert_allclose(across, of_edges, rtol=1e-5, atol=1e-7)
+    np.testing.assert_array_equal(equations.factorised(7).covariances(), own)
 
 
 @pytest.mark.parametrize(("seed", "loops", "parts"), [(1, 0, 1), (3, 40, 1), (4, 300, 1), (5, 30, 3)])

