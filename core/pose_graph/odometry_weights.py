@@ -40,6 +40,9 @@ LEAST_STEPS, LEAST_STRETCH = 8, 32
 SPENT = 6.0
 """The redundancy of one loop: steps with no more are as sure as they state."""
 
+MOST_GROWTH = 2.0
+"""Of variances in a round: steps that became so sure that loops say nothing of them come back slowly."""
+
 MAX_ROUNDS, SETTLED = 8, 0.1
 """Of the estimate, which ends where no factor changes by more than that share."""
 
@@ -64,17 +67,17 @@ def step_factors(tracks: Sequence[Trajectory], terms: T, anchor: int | None, pos
 
     As `by_weighed_odometry`.
     """
-    steps = _Steps.of(tracks)
+    steps, errors = _Steps.of(tracks), terms.errors(poses)
     factors = np.ones_like(steps.variances)
-    classes = [(np.concatenate(stretches), steps.least(model, stretches, terms.errors(poses)))
-               for model, stretches in steps.classes.items()]  # fmt: skip
+    classes = [(np.concatenate(rows), steps.least(model, rows, errors)) for model, rows in steps.classes.items()]
     classes = [(rows, least) for rows, least in classes if (least < 1.0).any()]
     try:
-        for _ in range(MAX_ROUNDS if classes else 0):
+        for _ in range(MAX_ROUNDS if classes and len(terms) > len(factors) else 0):
             before = factors.copy()
             squared, redundancy, poses = steps.shares(terms, factors, anchor, poses)
             for rows, least in classes:
-                squares = _pooled(squared[rows]) / np.maximum(_pooled(redundancy[rows]) - SPENT, 1e-9)
+                said, found = _pooled(redundancy[rows]) - SPENT, _pooled(squared[rows])
+                squares = np.where(said > 0.0, np.minimum(found / np.maximum(said, 1e-9), MOST_GROWTH), MOST_GROWTH)
                 factors[rows] = np.clip(factors[rows] * np.sqrt(squares), least, 1.0)
             if np.abs(np.log(factors / before)).max() < SETTLED:
                 break

@@ -163,6 +163,15 @@ def test_few_loops_change_no_byte(monkeypatch):
     assert by_weighed_odometry(component.trajectories, component.edges, 0, component.before) is component.before
 
 
+@pytest.mark.parametrize("loops", [0, 2])
+def test_loops_that_fit_exactly_change_no_byte_where_they_are_few(loops, monkeypatch):
+    graph, poses = two_drives(0), way()
+    exact = [replace(one, T_match_query=se3.inverse(poses[one.match.ordinal]) @ poses[one.query.ordinal])
+             for one in graph.loops[60 : 60 + loops]]  # fmt: skip
+    component = as_stated(replace(graph, loops=tuple(exact)), monkeypatch)
+    assert by_weighed_odometry(component.trajectories, component.edges, 0, component.before) is component.before
+
+
 def test_a_graph_that_states_no_drift_keeps_every_byte(monkeypatch):
     graph = two_drives(0)
     plain = replace(graph, trajectories=tuple(replace(one, odometry=None) for one in graph.trajectories))
