@@ -48,13 +48,15 @@ admission.STREAM_RECHECK_S = 3600.0
 
 from revisit.sdk.clouds import encoded  # noqa: E402  # threads that imports start are traced too
 from revisit.service.engines.local.files.disk import Disk  # noqa: E402
+from revisit.service.features.ingest import calls as ingest_calls  # noqa: E402
 from revisit.service.grpc import scan_streams  # noqa: E402
 from revisit.service.grpc.server import create_server  # noqa: E402
 from revisit.service.metrics import RequestMetrics  # noqa: E402
 from revisit.v1 import cloud_pb2, geometry_pb2, ingest_pb2, ingest_pb2_grpc  # noqa: E402
 from tests.support.service_world import SESSION, cloud_points, open_session, sqlite_world  # noqa: E402
 
-scan_streams.DRAIN_POLL_S = 3600.0
+# So are the two polls of an open stream.
+scan_streams.DRAIN_POLL_S = ingest_calls.ENDS_WITHIN_S = 3600.0
 
 
 def scan(seq: int) -> ingest_pb2.StreamScansRequest:
