@@ -32,6 +32,9 @@ _FRAMES = (0xC0, 0xC1, 0xC2)
 
 _OTHER_FRAMES = frozenset({0xC3, 0xC5, 0xC6, 0xC7, 0xC9, 0xCA, 0xCB, 0xCD, 0xCE, 0xCF})
 
+_MARKER = re.compile(rb"\xff+[^\x00\xd0-\xd8\xff]")
+"""The name of a part, with bytes before it that fill (ITU-T T.81, B.1.1.2)."""
+
 _NEXT_MARKER = re.compile(rb"\xff[^\x00\xd0-\xd7\xff]")
 """In coded data: neither a stuffed byte nor a restart."""
 
@@ -153,10 +156,10 @@ def _read_jpeg(data: bytes) -> tuple[int, int]:
 
 def _jpeg_part(data: bytes, at: int) -> tuple[int, bytes, int]:
     """Marker and content of the part at a place, and the place behind it."""
-    if len(data) < at + 2:
-        raise _broken("it is cut short")
-    if data[at] != 0xFF or data[at + 1] in (0x00, 0xD8, 0xFF) or 0xD0 <= data[at + 1] <= 0xD7:
-        raise _broken("a part of it has no name")
+    begin = _MARKER.match(data, at)
+    if begin is None:
+        raise _broken("it is cut short" if len(data) < at + 2 else "a part of it has no name")
+    at = begin.end() - 2
     marker = data[at + 1]
     if marker in (0xD9, 0x01):
         return marker, b"", at + 2

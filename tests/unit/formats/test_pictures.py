@@ -83,6 +83,12 @@ def test_a_file_that_is_no_plain_picture_is_refused(data, error):
     assert refused.value.field == "image"
 
 
+def test_bytes_that_fill_before_a_marker_are_read_over():
+    whole = a_jpeg()
+    filled = whole.replace(segment(0xE0, b"JFIF\x00"), b"\xff\xff" + segment(0xE0, b"JFIF\x00"))
+    assert read_picture(filled, LIMITS) == read_picture(whole, LIMITS)
+
+
 @pytest.mark.parametrize("whole", [a_png(), a_jpeg()], ids=["png", "jpeg"])
 def test_a_file_cut_short_or_damaged_anywhere_is_read_or_refused_and_nothing_else(whole):
     for size in range(len(whole)):
@@ -99,7 +105,8 @@ def test_a_file_cut_short_or_damaged_anywhere_is_read_or_refused_and_nothing_els
     a_jpeg(coded=b"\xff\x00" * (7 * 2**20)),
     PNG_BEGIN + header(9, 9) + part(b"tEXt") * 2**20,
     b"\xff\xd8" + b"\xff\x01" * (7 * 2**20),
-], ids=["stuffed bytes", "empty parts", "empty segments"])  # fmt: skip
+    b"\xff\xd8" + b"\xff" * (14 * 2**20),
+], ids=["stuffed bytes", "empty parts", "empty segments", "filling bytes"])  # fmt: skip
 def test_the_worst_file_of_the_largest_size_takes_a_moment(whole):
     began_s = time.thread_time()
     with contextlib.suppress(MalformedBody):
