@@ -103,6 +103,13 @@ async def test_retired_submaps_whose_place_a_later_one_shows_lose_their_neural_m
     assert poses(world) == before and await retained(world) == report
 
 
+async def test_a_dry_run_of_all_rules_tells_what_a_run_removes(world):
+    await twice_driven(world)
+    policy = "sessions=1d,retired=1d,scans=none"
+    dry, report = await world.use_cases.retention.preview(TENANT, "town", parsed(policy)), await retained(world, policy)
+    assert report.rules == dry.rules and {one.rule for one in report.rules} >= {"SESSIONS", "RETIRED_MAPS"}
+
+
 async def test_a_retired_submap_keeps_its_neural_map_until_its_days_are_over(world):
     await twice_driven(world)
     await retained(world, "best=1,retired=3d")

@@ -39,11 +39,15 @@ T = TypeVar("T")
 
 @dataclass
 class _Going:
-    """What would go: rows that name each blob, by the rule that removes the last of them."""
+    """What would go: rows that name each blob, by the rule that removes the last of them.
+
+    `touched`: sessions with submaps that would be retired, by the rule that is told of their scans.
+    """
 
     named: dict[RetentionRule, Counter[Blob]] = field(default_factory=dict)
     retiring: set[int] = field(default_factory=set)
     sessions: set[str] = field(default_factory=set)
+    touched: dict[str, RetentionRule] = field(default_factory=dict)
 
     def blob(self, rule: RetentionRule, blob: Blob) -> None:
         self.named.setdefault(rule, Counter())[blob] += 1
@@ -123,6 +127,9 @@ class Preview:
         self._going.retiring |= set(gone)
         for some in portions(gone, AT_ONCE):
             found = self._read(partial(_numbered, tenant=self._map.tenant, numbers=some))
+            self._going.touched |= dict.fromkeys(
+                {submap.session_id for submap in found.values()} - self._going.touched.keys(), rule
+            )
             for kind, sha256 in (blob for submap in found.values() for blob in blobs_of_submap(submap)):
                 if kind != NEURAL_MAP_BLOB:
                     self._going.blob(rule, (kind, sha256))
@@ -153,14 +160,12 @@ class Preview:
         if not retiring and not released:
             return
         chosen = self._chosen(uow, session, [one for one in standings if one.number in released])
-        first = HeldScans.of(session, standings, retiring)
-        last = HeldScans.of(session, standings, retiring | released)
+        left = HeldScans.of(session, standings, retiring | released)
+        rule = self._going.touched.get(session.session_id, RetentionRule.SCANS)
         for page in due.scan_pages(uow, session):
             for scan in page:
-                if retiring and first.frees_cloud(scan):
-                    self._count(RetentionRule.BEST_SUBMAPS, scan)
-                elif last.frees_cloud(scan) and scan.number not in chosen:
-                    self._count(RetentionRule.SCANS, scan)
+                if left.frees_cloud(scan) and scan.number not in chosen:
+                    self._count(rule, scan)
         self._posted(uow, session, released)
         self._tally.add(RetentionRule.SCANS, submaps=len(released))
 
