@@ -18,11 +18,11 @@ export function matrixOfRows(rows) {
 export const product = (...matrices) => matrices.reduce((a, b) => a.clone().multiply(b));
 export const inverse = (matrix) => matrix.clone().invert();
 
-/** The frame of the map that most submaps have a pose in, or null. */
+/** The frame of the map that most submaps have a pose in, the first by its name of several, or null: as the service takes pins. */
 export function mainFrame(submaps) {
   const counts = new Map();
   for (const { frame, t_map_submap } of submaps) if (t_map_submap) counts.set(frame, (counts.get(frame) ?? 0) + 1);
-  return [...counts].sort((a, b) => b[1] - a[1])[0]?.[0] ?? null;
+  return [...counts].sort(([a, most], [b, more]) => more - most || (a < b ? -1 : 1))[0]?.[0] ?? null;
 }
 
 /**

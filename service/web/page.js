@@ -592,10 +592,10 @@ function setView(name) {
 const FRAMES_MS = 900;
 
 /** Move from odometry to the frame of the map, or back, so that one sees what the loop closures have done. */
-function setFrames(moment) {
+function setFrames(moment, atOnce = false) {
   press(byId("frames"), "frames", moment);
   const [from, to, began_ms] = [model.corrected, moment === "after" ? 1 : 0, performance.now()];
-  const still = window.matchMedia("(prefers-reduced-motion: reduce)").matches;
+  const still = atOnce || window.matchMedia("(prefers-reduced-motion: reduce)").matches;
   const step = (now_ms) => {
     const done = still ? 1 : Math.min(1, Math.max(0, (now_ms - began_ms) / FRAMES_MS));
     model.corrected = from + (to - from) * done * done * (3 - 2 * done);
@@ -614,8 +614,9 @@ function switchTheme() {
   pair.paint();
 }
 
-/** From above, with points where nothing else is shown: so corners are found. */
+/** The map, not odometry, from above, with points where nothing else is shown: so corners are found, where the map has them. */
 function lookDown() {
+  if (model.frame !== null) setFrames("after", true);
   setView("top");
   if (view.surface === "none") setSurface("points");
 }
