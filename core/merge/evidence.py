@@ -61,6 +61,24 @@ def in_time(session: int, stamp_ns: int) -> tuple[int, int, int]:
     return (stamp_ns if stamp_ns >= DATED_NS else 0, session, stamp_ns)
 
 
+SHOWN_STRIDES = 2.0
+"""Within so many strides is the map that shows a place last: kept in a square of one, which later versions move."""
+
+
+def lost_views(
+    places_m: NDArray[np.float64], stamps_ns: NDArray[np.int64], gone: NDArray[np.bool_], stride_m: float
+) -> int:
+    """How many of the neural maps that are `gone` (n,) showed their place last, of those at places (n, 2), metres.
+
+    Another shows a place as late where it is not older and nearer than SHOWN_STRIDES strides.
+    """
+    kept, kept_ns, near_m = places_m[~gone], stamps_ns[~gone], SHOWN_STRIDES * stride_m
+    return sum(
+        not (np.linalg.norm(kept[kept_ns >= stamp_ns] - place, axis=1) < near_m).any()
+        for place, stamp_ns in zip(places_m[gone], stamps_ns[gone], strict=True)
+    )
+
+
 class ChangeKind(StrEnum):
     """Which day has it: the first one (it vanished) or the second (it appeared).
 

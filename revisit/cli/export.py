@@ -48,6 +48,9 @@ PROJECTED = ("laz", "copc")
 SURFACES = ("ply", "pcd", "laz", "copc", "mesh", "glb", "grid", "mcap", "autoware")
 """The formats with a surface, of which a later drive may have looked through a part."""
 
+MESHES = ("mesh", "glb")
+"""Those that are made of neural maps alone."""
+
 Report = Callable[[str, int, int], None]
 Writer = Callable[..., dict[str, int]]
 """Writes a map to a path; counts for the summary."""
@@ -115,7 +118,7 @@ def export(
     if json and out is not None:
         emit_json(summary)
     elif out is not None:
-        counts = ", ".join(f"{value} {name}" for name, value in summary.items() if name != "file")
+        counts = ", ".join(f"{value} {name.replace('_', ' ')}" for name, value in summary.items() if name != "file")
         say(f"{out}: {counts}")
 
 
@@ -170,6 +173,9 @@ def _write_file(file_format: str, out: Path, asked: Asked) -> dict[str, Any]:
         placed = [one for one in placed if one.stamp_ns <= asked.as_of_ns]
     if not placed:
         raise refuse(f"map {chosen[0]} holds no submaps")
+    submaps = len(placed)
+    if file_format in SURFACES:
+        placed = _with_surface(placed, file_format, asked)
     on_earth = epsg or frame == "enu" or file_format in ("autoware", "geojson")
     earth = frame_on_earth(http, chosen[0], placed[0].frame) if on_earth else None
     if earth is None and (frame == "enu" or file_format == "geojson"):
@@ -189,7 +195,29 @@ def _write_file(file_format: str, out: Path, asked: Asked) -> dict[str, Any]:
         if file_format in SURFACES:
             write = partial(write, ever=asked.ever)
         counts = write(out, http, placed, reporter(bar))
-    return {"file": str(out), "submaps": len(placed), **counts}
+    left_out = {"left_out": submaps - len(placed)} if submaps > len(placed) else {}
+    return {"file": str(out), "submaps": len(placed), **left_out, **counts}
+
+
+def _with_surface(placed: list[PlacedSubmap], file_format: str, asked: Asked) -> list[PlacedSubmap]:
+    """The submaps that have their neural maps. Exits where none has, or retention has removed the last view of then."""
+    import numpy as np
+
+    from revisit.core.merge.evidence import lost_views
+    from revisit.sdk.client import Client
+
+    map_id, kept = asked.chosen[0], [one for one in placed if not one.released]
+    if not kept or (file_format not in MESHES and all(one.retired for one in kept)):
+        raise refuse(f"the policy of retention of map {map_id} has removed what --format {file_format} is made of")
+    if asked.as_of_ns is not None and len(kept) < len(placed):
+        with Client(asked.http) as client:
+            stride_m = client.get_map(f"maps/{map_id}").stride_m
+        places_m = np.stack([one.T_map_submap[:2, 3] for one in placed])
+        gone = np.array([one.released for one in placed])
+        lost = lost_views(places_m, np.array([one.stamp_ns for one in placed]), gone, stride_m)
+        if lost:
+            raise refuse(f"the policy of retention of map {map_id} has removed {lost} neural maps of that moment")
+    return kept
 
 
 def _write_scans(out: Path, http: str, chosen: tuple[str, str], recording: Recording) -> dict[str, Any]:

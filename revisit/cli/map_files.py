@@ -19,6 +19,7 @@ from revisit.sdk.client import Client
 if TYPE_CHECKING:
     from revisit.core.implicit_map import NeuralMap
     from revisit.formats.mcap_map import DrivenPoses
+    from revisit.sdk.resources import Submap
 
 Points = NDArray[np.float64]
 
@@ -28,12 +29,17 @@ CLOUD_VOXEL_M = 0.1
 
 @dataclass(frozen=True)
 class PlacedSubmap:
-    """A submap by its name, when it was taken, and where it lies in its `frame` of the map."""
+    """A submap by its name, when it was taken, and where it lies in its `frame` of the map.
+
+    Of one that is `retired` no scan is kept; `released`: nor is its neural map.
+    """
 
     name: str
     stamp_ns: int
     T_map_submap: Matrix4
     frame: str = ""
+    retired: bool = False
+    released: bool = False
 
     @property
     def session(self) -> str:
@@ -50,7 +56,13 @@ def placed_submaps(http: str, map_id: str, session_id: str = "") -> list[PlacedS
     submaps = {one.name: one for track in graph.tracks for one in track}
     frames = _of_version(http, map_id, submaps) or _optimised_here(graph)
     frame = max(frames, key=lambda one: len(frames[one]), default="")
-    return [PlacedSubmap(name, submaps[name].stamp_ns, pose, frame) for name, pose in frames.get(frame, {}).items()]
+    return [_placed(submaps[name], pose, frame) for name, pose in frames.get(frame, {}).items()]
+
+
+def _placed(submap: Submap, T_map_submap: Matrix4, frame: str) -> PlacedSubmap:
+    retired = submap.state == "RETIRED"
+    released = retired and submap.neural_map_bytes is None
+    return PlacedSubmap(submap.name, submap.stamp_ns, T_map_submap, frame, retired, released)
 
 
 def _of_version(http: str, map_id: str, submaps: Container[str]) -> dict[str, dict[str, Matrix4]]:
@@ -101,12 +113,17 @@ class MergedCloud:
 def merged_cloud(
     http: str, placed: Sequence[PlacedSubmap], report: Callable[[str, int, int], None], *, ever: bool = False
 ) -> MergedCloud:
-    """The points of all submaps in the map, one in a voxel; what a later drive looked through with `ever`."""
+    """The points of all submaps in the map with scans, one in a voxel; what a later drive looked through with `ever`.
+
+    Those that are retired have none, and say what is gone.
+    """
     several = not ever and len({one.session for one in placed}) > 1
     surfaces = _surfaces(http, placed, report) if several else None
     stands, parts = surfaces.standing() if surfaces else [], [MergedCloud(np.zeros((0, 3)), None)]
     with Client(http) as client:
         for row, one in enumerate(placed):
+            if one.retired:
+                continue
             read = npy.decode(client.download(one.name, "npy"), DEFAULT_LIMITS)
             cloud = MergedCloud(read.points.astype(np.float64), read.intensity)
             if surfaces:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from revisit.core.config import PipelineConfig
 from revisit.core.geometry.tile_grid import TileGrid
-from revisit.core.merge.evidence import in_time
+from revisit.core.merge.evidence import SHOWN_STRIDES, in_time, lost_views
 from revisit.service.domain.errors import NotFound, NotKept
 from revisit.service.domain.identity import TenantId
 from revisit.service.domain.policy import Policy
@@ -30,9 +30,6 @@ _PLACES = 5
 """Along an edge of a tile: so large is a place, at which the latest submaps come first."""
 
 _NUMBERED_AT_ONCE = 1000
-
-SHOWN_STRIDES = 2.0
-"""Within so many strides is the map that shows a place last: kept in a square of one, which later versions move."""
 
 
 @dataclass(frozen=True)
@@ -222,16 +219,11 @@ def _require_kept(uow: UnitOfWork, tenant: TenantId, tiling: Tiling, key: TileKe
     stamps_ns = _stamps_ns(uow, tenant, frame, rows)
     by_then = stamps_ns <= (key.moment.as_of_ns or 0)
     rows, stamps_ns = rows[by_then], stamps_ns[by_then]
-    gone, places = released[rows], frame.positions[rows, :2]
-    kept_ns, kept = stamps_ns[~gone], places[~gone]
-    shown = [
-        (np.linalg.norm(kept[kept_ns >= stamp_ns] - place, axis=1) < near_m).any()
-        for place, stamp_ns in zip(places[gone], stamps_ns[gone], strict=True)
-    ]
-    if not all(shown):
+    lost = lost_views(frame.positions[rows, :2], stamps_ns, released[rows], tiling.stride_m)
+    if lost:
         raise NotKept(
-            f"the map's policy of retention has removed {len(shown) - sum(shown)} neural maps of that moment that tile "
-            f"{key.tile_id!r} was made of"
+            f"the map's policy of retention has removed {lost} neural maps of that moment that tile {key.tile_id!r} "
+            "was made of"
         )
 
 

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from revisit.cli import map_files
 from revisit.cli.app import app
 from revisit.cli.map_files import by_session, placed_submaps, reference_points
 from revisit.cli.map_versions import write_from_service
@@ -21,7 +22,7 @@ from revisit.formats.map_file import MapFile
 from revisit.sdk.errors import DataLoss, InvalidArgument, NotFound, unreachable
 from revisit.sdk.map_downloads import fetch_file
 from revisit.sdk.retry import RetryPolicy
-from tests.support.service_world import cloud_points, pose
+from tests.support.service_world import TENANT, cloud_points, pose
 
 AT_ONCE = RetryPolicy(attempts=3, base_s=0.0, cap_s=0.0)
 _numbers = itertools.count(1)
@@ -211,3 +212,53 @@ def test_reference_points_of_a_session_lie_at_one_spot_in_both_frames(service, c
     robot = np.column_stack([pairs["robot"], np.zeros(3)])
     np.testing.assert_allclose(se3.apply(T_map_odom, robot)[:, :2], pairs["rmf"], atol=0.05)
     assert list(by_session(placed)) == ["monday"] and len(pairs["rmf"]) == 3
+
+
+@pytest.fixture
+def written(monkeypatch):
+    """The submaps that each mesh was made of."""
+    asked = []
+
+    def merged_mesh(_http, placed, _report, *, ever):
+        asked.append([one.name[-2:] for one in placed])
+        return np.eye(3), np.eye(3), np.array([[0, 1, 2]], dtype=np.int32)
+
+    monkeypatch.setattr(map_files, "merged_mesh", merged_mesh)
+    return asked
+
+
+def test_files_are_made_of_the_neural_maps_that_retention_has_left(service, client, driven, tmp_path, written):
+    map_id, transactions = driven.partition("/")[2], service.world.context.transactions
+
+    def without_map(*submaps):
+        def work(uow):
+            rows = [uow.submaps.get(TENANT, map_id, "monday", one) for one in submaps]
+            uow.submaps.revise(rows, state="RETIRED", neural_map_sha256=None, neural_map_bytes=None)
+
+        transactions.write(work).result()
+
+    def export(form="glb", *more):
+        asked = [
+            "export",
+            "--map",
+            map_id,
+            "--format",
+            form,
+            "--out",
+            str(tmp_path / "site.glb"),
+            "--http",
+            service.http,
+        ]
+        done = CliRunner().invoke(app, [*asked, *more])
+        return done.exit_code, done.output.replace("\n", " ")
+
+    without_map("s1")
+    assert "2 submaps, 1 left out" in export()[1] and written == [["s2", "s3"]]
+    assert export("kitti")[0] == 0 and len((tmp_path / "site.glb").read_text().splitlines()) == 3
+    assert export("glb", "--as-of", "2")[0] == 0 and written.pop() == ["s2"], "what shows the place of the first one"
+    without_map("s3")
+    assert export()[0] == 0 and written.pop() == ["s2"]
+    code, said = export("glb", "--as-of", "3")
+    assert code == 1 and "removed 1 neural maps of that moment" in said
+    without_map("s2")
+    assert export()[0] == 1 and len(written) == 1

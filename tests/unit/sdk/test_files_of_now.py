@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from contextlib import nullcontext
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -53,3 +54,11 @@ def test_of_one_drive_no_neural_map_is_read_for_a_cloud(two_days):
     placed, asked = two_days
     cloud = merged_cloud("", placed[:1], lambda *_: None).points
     assert walls(cloud) > 0 and {kind for _, kind in asked} == {"npy"}
+
+
+def test_a_retired_submap_has_no_cloud_and_tells_what_is_gone(two_days):
+    (before, after), asked = two_days
+    whole = merged_cloud("", [before, after], lambda *_: None).points
+    cloud = merged_cloud("", [before, replace(after, retired=True)], lambda *_: None).points
+    assert asked[-3:] == [(before.name, "neural"), (after.name, "neural"), (before.name, "npy")]
+    assert walls(cloud) == walls(whole) and 0 < len(cloud) <= len(whole)
