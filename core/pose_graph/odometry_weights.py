@@ -40,6 +40,11 @@ LEAST_STEPS, LEAST_STRETCH = 8, 32
 SPENT = 6.0
 """The redundancy of one loop: steps with no more are as sure as they state."""
 
+WORSE = 6.0
+"""By so much, at least, are the squared errors of a session beyond their redundancy where it is worse than others that
+state its drift; not by chance (chi-square).
+"""
+
 MOST_GROWTH = 2.0
 """Of variances in a round: steps that became so sure that loops say nothing of them come back slowly."""
 
@@ -62,23 +67,24 @@ def by_weighed_odometry(tracks: Sequence[Trajectory], terms: T, anchor: int | No
 
 def step_factors(tracks: Sequence[Trajectory], terms: T, anchor: int | None, poses: Array64) -> tuple[Array64, Array64]:
     """The factors (s, 6), at most 1, for the standard deviations of the steps: one for the lengths and one for the
-    turns of all sessions that state the same drift; 1 for steps that state none, and mended ones. And poses (n, 4, 4)
+    turns of all sessions that state the same drift, larger in sessions that are worse; 1 for steps that state none, and
+    mended ones. And poses (n, 4, 4)
     near the most likely ones by these.
 
     As `by_weighed_odometry`.
     """
     steps, errors = _Steps.of(tracks), terms.errors(poses)
     factors = np.ones_like(steps.variances)
-    classes = [(np.concatenate(rows), steps.least(model, rows, errors)) for model, rows in steps.classes.items()]
+    classes = [(rows, steps.least(model, rows, errors)) for model, rows in steps.classes.items()]
     classes = [(rows, least) for rows, least in classes if (least < 1.0).any()]
     try:
         for _ in range(MAX_ROUNDS if classes and len(terms) > len(factors) else 0):
             before = factors.copy()
             squared, redundancy, poses = steps.shares(terms, factors, anchor, poses)
-            for rows, least in classes:
-                said, found = _pooled(redundancy[rows]) - SPENT, _pooled(squared[rows])
-                squares = np.where(said > 0.0, np.minimum(found / np.maximum(said, 1e-9), MOST_GROWTH), MOST_GROWTH)
-                factors[rows] = np.clip(factors[rows] * np.sqrt(squares), least, 1.0)
+            for sessions, least in classes:
+                found = [(_pooled(squared[rows]), _pooled(redundancy[rows])) for rows in sessions]
+                for rows, squares in zip(sessions, _squares(found), strict=True):
+                    factors[rows] = np.clip(factors[rows] * np.sqrt(squares), least, 1.0)
             if np.abs(np.log(factors / before)).max() < SETTLED:
                 break
     except RuntimeError:  # too large to be computed: long chains that nothing ties
@@ -154,6 +160,22 @@ class _Steps:
         back = turn @ across
         moving = own[second] - back - back.transpose(0, 2, 1) + turn @ own[first] @ turn.transpose(0, 2, 1)
         return squared, 1.0 - np.diagonal(moving, axis1=1, axis2=2) / variances, poses
+
+
+def _squares(found: Sequence[tuple[Array64, Array64]]) -> list[Array64]:
+    """The factors (6,) for the variances of each of some sessions that state the same drift, by their squared errors
+    (6,) and redundancy (6,): the same for all, and more for those that are worse by themselves.
+    """
+    of_all = np.sum(found, axis=0)
+    shared = _by_redundancy(of_all[0], of_all[1] - SPENT)
+    worse = (np.where(own > said + WORSE, _by_redundancy(own, said), 0.0) for own, said in found)
+    return [np.maximum(shared, own) for own in worse]
+
+
+def _by_redundancy(squared: Array64, redundancy: Array64) -> Array64:
+    """Squared errors (6,) over their redundancy (6,), MOST_GROWTH at most."""
+    known = np.minimum(squared / np.maximum(redundancy, 1e-9), MOST_GROWTH)
+    return np.where(redundancy > 0.0, known, MOST_GROWTH)
 
 
 def _pooled(values: Array64) -> Array64:

@@ -50,16 +50,18 @@ def two_drives(
     every: int = 1,
 ) -> PoseGraph:
     """Two drives along one way, with loops between each submap of the one and three of the other."""
-    rng, poses = np.random.default_rng(seed), way()
+    rng = np.random.default_rng(seed)
     model = OdometryModel.stated(stated)
     tracks = [Trajectory.from_odometry(name, driven(drift, turn_deg_per_m, rng), model) for name in ("a", "b")]
     ends = [(k, m) for k in range(0, SUBMAPS, every) for m in (k - 1, k, k + 1) if 0 <= m < SUBMAPS]
     noise = rng.normal(size=(len(ends), 6)) * np.sqrt(np.diag(LOOPS))
-    loops = [
-        LoopEdge(f"{n:03d}", Node("a", k), Node("b", m), se3.exp(one) @ se3.inverse(poses[k]) @ poses[m], LOOPS)
-        for n, ((k, m), one) in enumerate(zip(ends, noise, strict=True))
-    ]  # fmt: skip
-    return PoseGraph.of(tracks, loops)
+    return PoseGraph.of(tracks, [looped("b", k, m, one) for (k, m), one in zip(ends, noise, strict=True)])
+
+
+def looped(session: str, first: int, second: int, error: np.ndarray) -> LoopEdge:
+    """The loop between a submap of drive a and one of another, with an error."""
+    seen = se3.exp(error) @ se3.inverse(way()[first]) @ way()[second]
+    return LoopEdge(f"{session}-{first:03d}-{second:03d}", Node("a", first), Node(session, second), seen, LOOPS)
 
 
 def worst_m(answer: OptimisedGraph) -> float:
@@ -111,6 +113,7 @@ def test_the_factor_is_by_how_much_less_odometry_errs_than_it_states(share, monk
 
 def test_the_factors_are_where_the_restricted_likelihood_is_greatest(monkeypatch):
     monkeypatch.setattr(odometry_weights, "SPENT", 0.0)
+    monkeypatch.setattr(odometry_weights, "WORSE", np.inf)
     monkeypatch.setattr(odometry_weights, "SETTLED", 1e-6)
     monkeypatch.setattr(odometry_weights, "MAX_ROUNDS", 100)
     monkeypatch.setattr(odometry_weights, "STEADY_WEIGHT", 0.0)
@@ -146,6 +149,26 @@ def test_odometry_that_errs_as_it_states_is_left_alone():
     answer = optimise(graph := two_drives(1, drift, "WHEEL"))
     component = HeldComponent.of(graph, answer.loops, answer.T_map_submap, answer.components[0])
     assert (step_factors(component.trajectories, component.edges, 0, component.before)[0] > 0.85).all()
+
+
+def farthest(poses: np.ndarray) -> float:
+    """The largest coordinate by which poses (d, n, 4, 4) of drives along the way are off."""
+    return float(np.abs(poses - way())[..., :3, 3].max())
+
+
+@pytest.mark.parametrize(("drift", "every"), [(OdometryModel(), 3), (OdometryModel.stated("VISUAL"), 6)])
+def test_a_worse_drive_among_good_ones_does_not_bend_them(drift, every, monkeypatch):
+    """All state the default drift. The worse one is half as long, and is seen less often."""
+    graph, rng = two_drives(2), np.random.default_rng(2)
+    worse = Trajectory.from_odometry("worse", driven(drift, 0.0, rng)[: SUBMAPS // 2 + 1])
+    noise = rng.normal(size=(SUBMAPS, 6)) * np.sqrt(np.diag(LOOPS))
+    seen = [looped("worse", k, k, noise[k]) for k in range(0, len(worse), every)]
+    among = PoseGraph.of([*graph.trajectories, worse], [*graph.loops, *seen])
+    stated = as_stated(among, monkeypatch).before[: 2 * SUBMAPS].reshape(2, SUBMAPS, 4, 4)
+    poses = optimise(among).T_map_submap
+    assert farthest(np.stack([poses["a"], poses["b"]])) < 0.9 * farthest(stated)
+    good, its = np.split(factors_of(among, monkeypatch), [2 * (SUBMAPS - 1)])
+    assert (its.mean(axis=0) > 1.2 * good.mean(axis=0))[3:].all()
 
 
 def test_odometry_that_states_more_than_the_best_is_not_taken_as_better(monkeypatch):
