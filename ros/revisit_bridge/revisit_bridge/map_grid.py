@@ -21,7 +21,7 @@ from revisit.formats import npy
 from revisit.formats.cloud import DEFAULT_LIMITS
 from revisit.formats.occupancy_grid import GridOptions, OccupancyGrid, grid_of, without_gone
 from revisit.sdk.client import Client
-from revisit.sdk.errors import ApiError
+from revisit.sdk.errors import ApiError, NotFound
 from revisit.sdk.resources import SubmapPose
 
 log = logging.getLogger("revisit_bridge")
@@ -65,7 +65,7 @@ class MapSource(Protocol):
         """Where a version has its submaps. Raises ApiError."""
 
     def points(self, submap: str) -> NDArray[np.floating]:
-        """The points (n, 3) of a submap in its own frame. Raises ApiError, MalformedBody."""
+        """The points (n, 3) of a submap in its own frame; a retired one has none. Raises ApiError, MalformedBody."""
 
     def surface(self, version: int, frame: str, *, ever: bool) -> MapSurface:
         """What the latest drive left, or all that was `ever` there. Raises ApiError, MalformedBody."""
@@ -88,7 +88,12 @@ class ServiceMap:
 
     def points(self, submap: str) -> NDArray[np.floating]:
         """See MapSource."""
-        return npy.decode(self.client.submaps.download(submap, "npy"), DEFAULT_LIMITS).points
+        try:
+            return npy.decode(self.client.submaps.download(submap, "npy"), DEFAULT_LIMITS).points
+        except NotFound:
+            if self.client.submaps.get(submap).state != "RETIRED":
+                raise
+            return np.zeros((0, 3), np.float32)
 
     def surface(self, version: int, frame: str, *, ever: bool) -> MapSurface:
         """See MapSource."""
@@ -160,9 +165,12 @@ class MapGrids:
                 return
             clouds.append(se3.apply(pose.T_map_submap, self._cloud(pose.submap)))
         self._points = {pose.submap: self._points[pose.submap] for pose in placed}
+        sessions = [
+            pose.submap.partition("/submaps/")[0] for pose, cloud in zip(placed, clouds, strict=True) if len(cloud)
+        ]
+        clouds = [cloud for cloud in clouds if len(cloud)]
         if clouds:
             grid = self._grid(clouds)
-            sessions = [pose.submap.partition("/submaps/")[0] for pose in placed]
             if len(set(sessions)) > 1 and not self.ever:
                 newest = self._grid([cloud for cloud, of in zip(clouds, sessions, strict=True) if of == sessions[-1]])
                 grid = self._of_now(grid, newest, version, frame)

@@ -12,12 +12,15 @@ from revisit_bridge.publishing import MessageTypes, grid_message
 
 from revisit import Client
 from revisit.core.geometry import se3
+from revisit.formats.occupancy_grid import UNKNOWN
 from revisit.sdk.errors import ApiError, ErrorDetails
 from revisit.sdk.resources import SubmapPose
+from revisit.service.features.retention import removal
 from tests.support.live_service import live_service
 from tests.support.page_town import EACH_BY_ITSELF, fill
 from tests.support.patience import eventually
 from tests.support.ros_messages import message_classes, ros_store
+from tests.support.service_world import TENANT
 
 OWN, OTHER = "maps/yard/sessions/own", "maps/yard/sessions/other"
 
@@ -125,6 +128,18 @@ def test_the_message_has_its_rows_from_the_bottom_and_says_where_it_lies() -> No
     assert np.flatnonzero(message.data == 100).tolist() == [55]
 
 
+def retire(world, submap: str) -> str:
+    """Retire a submap, as retention does."""
+    _, map_id, _, session_id, _, submap_id = submap.split("/")
+
+    def work(uow):
+        record, row = uow.maps.get(TENANT, map_id), uow.submaps.get(TENANT, map_id, session_id, submap_id)
+        return removal.retire(uow, record, [row.number])
+
+    assert world.context.transactions.write(work).result().rows == 1
+    return submap
+
+
 def test_the_map_of_a_service_is_followed() -> None:
     with live_service(pipeline=EACH_BY_ITSELF) as service, Client(service.http) as client:
         fill(client)
@@ -137,4 +152,10 @@ def test_the_map_of_a_service_is_followed() -> None:
         now, ever = (source.surface(1, made.frame, ever=ever) for ever in (False, True))
         assert now.voxel_m == ever.voxel_m == pytest.approx(0.4)
         assert 0 < len(now.points) <= len(ever.points)
+        retired = retire(service.world, source.poses(1)[0].submap)
+        assert len(source.points(retired)) == 0
+        anew = MapGrids(source, 0.5)
+        before, after = ((one.grid.cells != UNKNOWN).sum() for one in (made, followed(anew, 1)))
+        assert before > after > 0, "the others are told"
+        anew.close()
         grids.close()
