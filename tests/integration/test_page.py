@@ -18,7 +18,7 @@ from revisit.api.scopes import Scope
 from revisit.core.errors import MalformedBody
 from revisit.formats.glb import encode_scene
 from revisit.formats.pictures import Picture, PictureLimits, read_picture
-from tests.support.browser import Page, browser
+from tests.support.browser import SIZE, Page, browser
 from tests.support.credentials import a_key
 from tests.support.fleet_in_service import fleet_in, slipped_fleet_in
 from tests.support.live_service import live_service
@@ -425,6 +425,10 @@ def test_with_keys_it_asks_for_one_and_opens_with_it(chromium):
         fill(client)
         shown = Page(chromium, running.http)
         shown.tab.get_by_text("An API key is needed").wait_for()
+        shown.tab.set_viewport_size(PHONE["viewport"])
+        box = shown.tab.get_by_role("button", name="Open").bounding_box()
+        assert box["x"] + box["width"] <= PHONE["viewport"]["width"], "a finger finds the button"
+        shown.tab.set_viewport_size(SIZE)
         shown.tab.locator("#api-key").fill("rv_wrong")
         shown.tab.keyboard.press("Enter")
         shown.tab.get_by_text("This key does not open it").wait_for()
