@@ -9,6 +9,7 @@ import pytest
 
 from revisit.service.domain.errors import NotKept
 from revisit.service.domain.identity import SessionKey
+from revisit.service.domain.records import MapMergeRecord
 from revisit.service.domain.retention import RetentionRule, parsed
 from revisit.service.domain.states import SubmapState
 from revisit.service.features.catalogue.downloads import DownloadKind
@@ -125,6 +126,17 @@ async def test_a_place_keeps_the_last_view_of_before_its_days(world):
     world.context.transactions.write(lambda uow: uow.sessions.replace(young)).result()
     await retained(world, RELEASED)
     assert released(world) == frozenset(), "Monday's is the last view of a place as of yesterday"
+
+
+async def test_a_view_that_goes_with_a_merge_taken_back_is_not_the_last(world):
+    await twice_driven(world)
+    write, merge = world.context.transactions.write, ("m1", "maps/other", 0, 1, (TUESDAY.session_id,), {}, 1)
+    merged = write(lambda uow: uow.map_merges.add(MapMergeRecord(TENANT, "town", *merge))).result()
+    await retained(world, RELEASED)
+    assert released(world) == frozenset(), "without Tuesday, Monday's view is the last"
+    write(lambda uow: uow.map_merges.replace(replace(merged, reverted_at_ns=2))).result()
+    await retained(world)
+    assert released(world)
 
 
 async def test_a_submap_without_its_neural_map_says_so(world):

@@ -207,8 +207,9 @@ def due_maps(
     """The numbers of the retired submaps that keep their neural map no longer, by the version in force.
 
     Of the sessions whose days are over the newest neural map of each square of `edge_m` metres stays, whichever submap
-    has it: so the surface of now, and of each moment since, is told by the last view of each place. In a dry run
-    submaps that are `retiring` count as retired, sessions `leaving` as gone.
+    has it: so the surface of now, and of each moment since, is told by the last view of each place; and the newest
+    without the copies of a merge that can be taken back, which takes their views with it. In a dry run submaps that are
+    `retiring` count as retired, sessions `leaving` as gone.
     """
     if policy.retired_days is None or not record.map_version:
         return []
@@ -229,7 +230,18 @@ def due_maps(
         for number, place in _places(uow, record)
         if (one := standings.get(number)) is not None
     ]
-    return sorted(gone.intersection(view.number for view in views) - last_views(views, edge_m))
+    stays = last_views(views, edge_m)
+    for copied in _copied(uow, record):
+        stays |= last_views((one for one in views if standings[one.number].session_id not in copied), edge_m)
+    return sorted(gone.intersection(view.number for view in views) - stays)
+
+
+def _copied(uow: UnitOfWork, record: MapRecord) -> Iterator[set[str]]:
+    """The sessions that go with each merge of a map that can be taken back: its own, and those of later ones."""
+    copied = set[str]()
+    for merge in reversed(uow.map_merges.find(record.tenant, map_id=record.map_id, reverted_at_ns=None)):
+        copied |= set(merge.sessions)
+        yield copied
 
 
 def _ended_before(uow: UnitOfWork, record: MapRecord, before_ns: int) -> set[str]:
