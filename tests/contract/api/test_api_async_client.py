@@ -72,7 +72,7 @@ def test_its_groups_and_calls_are_those_of_the_client(service):
     with Client(service.http) as client:
         groups = client.groups
     assert set(groups) == {
-        "maps", "robots", "sessions", "submaps", "loops", "versions", "files", "operations", "webhooks",
+        "maps", "robots", "sessions", "submaps", "loops", "versions", "files", "operations", "webhooks", "plans",
     }  # fmt: skip
     awaited = AsyncClient(service.http)
     for name, group in groups.items():
