@@ -82,6 +82,8 @@ def step_factors(tracks: Sequence[Trajectory], terms: T, anchor: int | None, pos
             before = factors.copy()
             squared, redundancy, poses = steps.shares(terms, factors, anchor, poses)
             for sessions, least in classes:
+                if anchor is None:  # the world shows errors that loops share
+                    least = np.maximum(least, steps.turned(sessions, terms.errors(poses)))
                 found = [(_pooled(squared[rows]), _pooled(redundancy[rows])) for rows in sessions]
                 for rows, squares in zip(sessions, _squares(found), strict=True):
                     factors[rows] = np.clip(factors[rows] * np.sqrt(squares), least, 1.0)
@@ -139,6 +141,13 @@ class _Steps:
                 sums[halvings] = sums.get(halvings, 0.0) + both
                 halvings, length = halvings + 1, length // 2
         return STEADY_WEIGHT * max((float(np.sqrt(off / stated).max()) for off, stated in sums.values()), default=0.0)
+
+    def turned(self, sessions: Sequence[Rows], errors: Array64) -> Array64:
+        """The least factors (6,) by the `errors` (e, 6) of sessions that are turned as a whole; 0 for lengths."""
+        whole = [rows for rows in sessions if len(rows) >= LEAST_STEPS]
+        off = np.sum([errors[rows, 3:].sum(axis=0) ** 2 for rows in whole], axis=0)
+        stated = np.sum([self.variances[rows, 3:].sum(axis=0) for rows in whole], axis=0)
+        return np.repeat([0.0, min(float(np.sqrt(off / stated).max()), 1.0) if whole else 0.0], 3)
 
     def shares(
         self, terms: T, factors: Array64, anchor: int | None, poses: Array64
