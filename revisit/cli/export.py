@@ -196,7 +196,9 @@ def _write_file(file_format: str, out: Path, asked: Asked) -> dict[str, Any]:
             write = partial(write, ever=asked.ever)
         counts = write(out, http, placed, reporter(bar))
     left_out = {"left_out": submaps - len(placed)} if submaps > len(placed) else {}
-    return {"file": str(out), "submaps": len(placed), **left_out, **counts}
+    without_scans = 0 if file_format in MESHES else sum(not one.has_scans for one in placed)
+    of_surfaces = {"of_surfaces": without_scans} if without_scans and file_format in SURFACES else {}
+    return {"file": str(out), "submaps": len(placed), **left_out, **of_surfaces, **counts}
 
 
 def _with_surface(placed: list[PlacedSubmap], file_format: str, asked: Asked) -> list[PlacedSubmap]:
@@ -207,7 +209,7 @@ def _with_surface(placed: list[PlacedSubmap], file_format: str, asked: Asked) ->
     from revisit.sdk.client import Client
 
     map_id, kept = asked.chosen[0], [one for one in placed if not one.released]
-    if not kept or (file_format not in MESHES and all(one.retired for one in kept)):
+    if not kept:
         raise refuse(f"the policy of retention of map {map_id} has removed what --format {file_format} is made of")
     if asked.as_of_ns is not None and len(kept) < len(placed):
         with Client(asked.http) as client:

@@ -31,14 +31,14 @@ CLOUD_VOXEL_M = 0.1
 class PlacedSubmap:
     """A submap by its name, when it was taken, and where it lies in its `frame` of the map.
 
-    Of one that is `retired` no scan is kept; `released`: nor is its neural map.
+    Retention has removed the scans of one without `has_scans`, and the neural map of one that is `released`.
     """
 
     name: str
     stamp_ns: int
     T_map_submap: Matrix4
     frame: str = ""
-    retired: bool = False
+    has_scans: bool = True
     released: bool = False
 
     @property
@@ -60,9 +60,8 @@ def placed_submaps(http: str, map_id: str, session_id: str = "") -> list[PlacedS
 
 
 def _placed(submap: Submap, T_map_submap: Matrix4, frame: str) -> PlacedSubmap:
-    retired = submap.state == "RETIRED"
-    released = retired and submap.neural_map_bytes is None
-    return PlacedSubmap(submap.name, submap.stamp_ns, T_map_submap, frame, retired, released)
+    has_scans, released = submap.kept_scans != "NONE", submap.state == "RETIRED" and submap.neural_map_bytes is None
+    return PlacedSubmap(submap.name, submap.stamp_ns, T_map_submap, frame, has_scans, released)
 
 
 def _of_version(http: str, map_id: str, submaps: Container[str]) -> dict[str, dict[str, Matrix4]]:
@@ -113,19 +112,21 @@ class MergedCloud:
 def merged_cloud(
     http: str, placed: Sequence[PlacedSubmap], report: Callable[[str, int, int], None], *, ever: bool = False
 ) -> MergedCloud:
-    """The points of all submaps in the map with scans, one in a voxel; what a later drive looked through with `ever`.
+    """The points of all submaps in the map, one in a voxel; what a later drive looked through with `ever`.
 
-    Those that are retired have none, and say what is gone.
+    Those of the scans; of the surface where retention has removed these.
     """
     several = not ever and len({one.session for one in placed}) > 1
-    surfaces = _surfaces(http, placed, report) if several else None
-    stands, parts = surfaces.standing() if surfaces else [], [MergedCloud(np.zeros((0, 3)), None)]
+    surfaces = _surfaces(http, placed, report) if several or not all(one.has_scans for one in placed) else None
+    stands = surfaces.standing() if surfaces and several else [None] * len(placed)
+    parts = [MergedCloud(np.zeros((0, 3)), None)]
     with Client(http) as client:
         for row, one in enumerate(placed):
-            if one.retired:
-                continue
-            read = npy.decode(client.download(one.name, "npy"), DEFAULT_LIMITS)
-            cloud = MergedCloud(read.points.astype(np.float64), read.intensity)
+            if surfaces and not one.has_scans:
+                cloud = MergedCloud(surfaces.points(row), None)
+            else:
+                read = npy.decode(client.download(one.name, "npy"), DEFAULT_LIMITS)
+                cloud = MergedCloud(read.points.astype(np.float64), read.intensity)
             if surfaces:
                 cloud = cloud.at(np.flatnonzero(~surfaces.gone(row, stands[row], cloud.points)))
             points = cloud.points @ one.T_map_submap[:3, :3].T + one.T_map_submap[:3, 3]

@@ -42,6 +42,11 @@ class Surfaces:
         """That of a submap."""
         return self._decoded(row)
 
+    def points(self, row: int) -> NDArray[np.float64]:
+        """The neural points (n, 3) of a submap in its own frame, metres."""
+        neural_map = self.neural_map(row)
+        return neural_map.frame.points_to_submap(neural_map.points.positions).astype(np.float64)
+
     def placed(self, row: int) -> PlacedMap:
         """As the method takes it."""
         from revisit.core.merge.fused import PlacedMap
@@ -78,8 +83,7 @@ class Surfaces:
             return np.zeros(len(points), dtype=bool)
         neural_map = self.neural_map(row)
         reach_m = neural_map.config.resolution * neural_map.frame.scale
-        surface = neural_map.frame.points_to_submap(neural_map.points.positions)
-        gaps, nearest = cKDTree(surface).query(points, distance_upper_bound=reach_m)
+        gaps, nearest = cKDTree(self.points(row)).query(points, distance_upper_bound=reach_m)
         return np.append(~stands, False)[np.where(np.isfinite(gaps), nearest, len(stands))]
 
     def _decode(self, row: int) -> NeuralMap:

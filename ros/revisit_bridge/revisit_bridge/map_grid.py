@@ -65,7 +65,7 @@ class MapSource(Protocol):
         """Where a version has its submaps. Raises ApiError."""
 
     def points(self, submap: str) -> NDArray[np.floating]:
-        """The points (n, 3) of a submap in its own frame; a retired one has none. Raises ApiError, MalformedBody."""
+        """The points (n, 3) of a submap in its own frame; none where no scan is kept. Raises ApiError, MalformedBody."""
 
     def surface(self, version: int, frame: str, *, ever: bool) -> MapSurface:
         """What the latest drive left, or all that was `ever` there. Raises ApiError, MalformedBody."""
@@ -91,7 +91,7 @@ class ServiceMap:
         try:
             return npy.decode(self.client.submaps.download(submap, "npy"), DEFAULT_LIMITS).points
         except NotFound:
-            if self.client.submaps.get(submap).state != "RETIRED":
+            if self.client.submaps.get(submap).kept_scans != "NONE":
                 raise
             return np.zeros((0, 3), np.float32)
 

@@ -56,9 +56,11 @@ def test_of_one_drive_no_neural_map_is_read_for_a_cloud(two_days):
     assert walls(cloud) > 0 and {kind for _, kind in asked} == {"npy"}
 
 
-def test_a_retired_submap_has_no_cloud_and_tells_what_is_gone(two_days):
+def test_a_submap_whose_scans_are_gone_has_the_points_of_its_surface_and_tells_what_is_gone(two_days):
     (before, after), asked = two_days
-    whole = merged_cloud("", [before, after], lambda *_: None).points
-    cloud = merged_cloud("", [before, replace(after, retired=True)], lambda *_: None).points
-    assert asked[-3:] == [(before.name, "neural"), (after.name, "neural"), (before.name, "npy")]
-    assert walls(cloud) == walls(whole) and 0 < len(cloud) <= len(whole)
+    before, after = replace(before, has_scans=False), replace(after, has_scans=False)
+    now, ever = (merged_cloud("", [before, after], lambda *_: None, ever=ever).points for ever in (False, True))
+    assert {kind for _, kind in asked} == {"neural"}
+    assert walls(now) <= 0.1 * walls(ever) and walls(ever) > 5
+    alone = merged_cloud("", [before], lambda *_: None).points
+    assert walls(alone) == walls(ever) and 0 < len(alone) <= len(ever)
