@@ -65,7 +65,7 @@ class MapSource(Protocol):
         """Where a version has its submaps. Raises ApiError."""
 
     def points(self, submap: str) -> NDArray[np.floating]:
-        """The points (n, 3) of a submap in its own frame; none where no scan is kept. Raises ApiError, MalformedBody."""
+        """The points (n, 3) of a submap in its own frame; none where none is kept. Raises ApiError, MalformedBody."""
 
     def surface(self, version: int, frame: str, *, ever: bool) -> MapSurface:
         """What the latest drive left, or all that was `ever` there. Raises ApiError, MalformedBody."""
