@@ -157,5 +157,5 @@ def test_an_ingest_that_a_full_quota_stops_says_so_at_once(tmp_path):
         command = [sys.executable, "-m", "revisit.cli", "ingest", str(recording), "--grpc", service.grpc]
         with subprocess.Popen(command, cwd=ROOT, stderr=subprocess.PIPE, text=True) as ingest:
             line = next(line for line in ingest.stderr if "QUOTA" in line)
-            ingest.terminate()
+            ingest.kill()
     assert line.startswith("revisit: the service takes no scan now: QUOTA: ") and "all it may store" in line
