@@ -195,10 +195,11 @@ def _write_file(file_format: str, out: Path, asked: Asked) -> dict[str, Any]:
         if file_format in SURFACES:
             write = partial(write, ever=asked.ever)
         counts = write(out, http, placed, reporter(bar))
-    left_out = {"left_out": submaps - len(placed)} if submaps > len(placed) else {}
-    without_scans = 0 if file_format in MESHES else sum(not one.has_scans for one in placed)
-    of_surfaces = {"of_surfaces": without_scans} if without_scans and file_format in SURFACES else {}
-    return {"file": str(out), "submaps": len(placed), **left_out, **of_surfaces, **counts}
+    of_scans = file_format in SURFACES and file_format not in MESHES
+    without_scans = sum(not one.has_scans for one in placed) if of_scans else 0
+    less = {"left_out": submaps - len(placed), "of_surfaces": without_scans}
+    told = {name: count for name, count in less.items() if count}
+    return {"file": str(out), "submaps": len(placed), **told, **counts}
 
 
 def _with_surface(placed: list[PlacedSubmap], file_format: str, asked: Asked) -> list[PlacedSubmap]:

@@ -123,12 +123,12 @@ def merged_cloud(
     with Client(http) as client:
         for row, one in enumerate(placed):
             if surfaces and not one.has_scans:
-                cloud = MergedCloud(surfaces.points(row), None)
+                cloud = MergedCloud(surfaces.points(row, stands[row]), None)
             else:
                 read = npy.decode(client.download(one.name, "npy"), DEFAULT_LIMITS)
                 cloud = MergedCloud(read.points.astype(np.float64), read.intensity)
-            if surfaces:
-                cloud = cloud.at(np.flatnonzero(~surfaces.gone(row, stands[row], cloud.points)))
+                if surfaces:
+                    cloud = cloud.at(np.flatnonzero(~surfaces.gone(row, stands[row], cloud.points)))
             points = cloud.points @ one.T_map_submap[:3, :3].T + one.T_map_submap[:3, 3]
             parts.append(MergedCloud(points, cloud.intensity).at(thinned(points)))
             report("clouds", row + 1, len(placed))

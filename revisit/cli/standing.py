@@ -42,10 +42,11 @@ class Surfaces:
         """That of a submap."""
         return self._decoded(row)
 
-    def points(self, row: int) -> NDArray[np.float64]:
-        """The neural points (n, 3) of a submap in its own frame, metres."""
+    def points(self, row: int, stands: NDArray[np.bool_] | None = None) -> NDArray[np.float64]:
+        """The neural points (n, 3) of a submap in its own frame, metres; those that stand, if that is said."""
         neural_map = self.neural_map(row)
-        return neural_map.frame.points_to_submap(neural_map.points.positions).astype(np.float64)
+        points = neural_map.frame.points_to_submap(neural_map.points.positions).astype(np.float64)
+        return points if stands is None else points[stands]
 
     def placed(self, row: int) -> PlacedMap:
         """As the method takes it."""
