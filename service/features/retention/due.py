@@ -10,7 +10,7 @@ import numpy as np
 
 from revisit.core.merge.evidence import in_time
 from revisit.service.domain.events import AMBIGUOUS
-from revisit.service.domain.records import LoopRecord, MapRecord, ScanRecord, SessionRecord
+from revisit.service.domain.records import LoopRecord, MapFileRecord, MapRecord, ScanRecord, SessionRecord
 from revisit.service.domain.retention import DAY_NS, RetentionPolicy
 from revisit.service.domain.states import LoopState, SessionState, SubmapState
 from revisit.service.features.graph.released_maps import released_maps
@@ -234,6 +234,11 @@ def due_maps(
     for copied in _copied(uow, record):
         stays |= last_views((one for one in views if standings[one.number].session_id not in copied), edge_m)
     return sorted(gone.intersection(view.number for view in views) - stays)
+
+
+def files(uow: UnitOfWork, record: MapRecord) -> list[MapFileRecord]:
+    """The published files of a map, which name neural maps."""
+    return uow.map_files.find(record.tenant, map_id=record.map_id)
 
 
 def _copied(uow: UnitOfWork, record: MapRecord) -> Iterator[set[str]]:

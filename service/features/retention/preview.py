@@ -140,8 +140,8 @@ class Preview:
         read = partial(due.due_maps, record=self._map, policy=self._policy, edge_m=edge_m, now_ns=now_ns)
         numbers = set(self._read(partial(read, retiring=self._going.retiring, leaving=self._going.sessions)))
         self._held_back |= held & numbers
-        files = self._read(lambda uow: uow.map_files.find(self._map.tenant, map_id=self._map.map_id))
-        filed = filed_maps(files, self._blobs.get) if numbers else set[str]()
+        files = self._read(partial(due.files, record=self._map)) if numbers else []
+        filed = filed_maps(files, self._blobs.get)
         count = 0
         for some in portions(sorted(numbers - held), AT_ONCE):
             for submap in self._read(partial(_numbered, tenant=self._map.tenant, numbers=some)).values():

@@ -14,7 +14,7 @@ import structlog
 from revisit.service.domain.events import EventRecord
 from revisit.service.domain.identity import TenantId
 from revisit.service.domain.policy import Policy
-from revisit.service.domain.records import LoopRecord, MapFileRecord, MapRecord, ScanRecord, SessionRecord
+from revisit.service.domain.records import LoopRecord, MapRecord, ScanRecord, SessionRecord
 from revisit.service.domain.retention import KEEPS_ALL, KeptScans, RetentionPolicy, RetentionRule
 from revisit.service.domain.states import EventKind, SessionState
 from revisit.service.failpoints import failpoint
@@ -162,7 +162,7 @@ class _Run:
             return
         held = (await self._under_review()).retired
         self.held_back |= held.intersection(numbers)
-        files = await self._storage.read(partial(_files, record=self._map))
+        files = await self._storage.read(partial(due.files, record=self._map))
         filed = await asyncio.to_thread(filed_maps, files, self._storage.blobs.get)
         release = partial(removal.release_maps, record=self._map, filed=filed)
         for some in portions((one for one in numbers if one not in held), removal.SUBMAPS):
@@ -250,10 +250,6 @@ def _map_page(uow: UnitOfWork, after: int) -> list[MapRecord]:
 
 def _active_sessions(uow: UnitOfWork, record: MapRecord) -> int:
     return uow.sessions.count(record.tenant, map_id=record.map_id, state=SessionState.ACTIVE.value)
-
-
-def _files(uow: UnitOfWork, record: MapRecord) -> list[MapFileRecord]:
-    return uow.map_files.find(record.tenant, map_id=record.map_id)
 
 
 def _sessions_of(uow: UnitOfWork, tenant: TenantId, numbers: Sequence[int]) -> set[str]:
