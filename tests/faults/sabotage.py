@@ -29,7 +29,8 @@ from unittest import mock
 ROOT = Path(__file__).resolve().parents[2]
 SABOTEUR = Path(__file__).with_name("saboteur")
 
-POWER_CUT = "tests/faults/test_power_cut.py::test_a_power_cut_takes_nothing_that_was_acknowledged[250]"
+CUTS = "250"
+POWER_CUT = f"tests/faults/test_power_cut.py::test_a_power_cut_takes_nothing_that_was_acknowledged[{CUTS}]"
 CRASH = "tests/faults/test_crash_points.py::"
 QUEUE = "tests/contract/test_job_queue.py::"
 PLACES = "tests/contract/api/test_api_places.py::"
@@ -657,11 +658,12 @@ class _PatchedImports(MetaPathFinder):
         return spec
 
 
-def run_test(test: str, sabotage: Sabotage | None = None) -> subprocess.CompletedProcess[str]:
-    """Run one test in a process that is sabotaged, with no more plugins than it needs: imports take longest."""
+def run_test(*tests: str, sabotage: Sabotage | None = None) -> subprocess.CompletedProcess[str]:
+    """Run pytest in a process that is sabotaged, with no more plugins than it needs: imports take longest."""
     plugins = ("-p", "pytest_asyncio.plugin", "-p", "pytest_timeout", "-p", "no:cacheprovider")
-    command = [sys.executable, "-m", "pytest", "-x", "-q", *plugins, test]
+    command = [sys.executable, "-m", "pytest", "-x", "-q", *plugins, *tests]
     environment = {**os.environ, "SABOTAGE": sabotage.name if sabotage else "", "PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1"}
+    environment["REVISIT_TEST_POWER_CUTS"] = CUTS
     environment["REVISIT_TEST_PATIENCE_S"] = "30"  # what is broken is waited for in vain
     environment["PYTHONPATH"] = os.pathsep.join([str(SABOTEUR), str(ROOT)])
     return subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, timeout=900, check=False)

@@ -18,6 +18,11 @@ def test_every_sabotage_names_code_of_today():
         require_targets(sabotage)
 
 
+def test_every_sabotage_names_a_test_of_today():
+    ran = run_test("--collect-only", *sorted({sabotage.test for sabotage in SABOTAGES}))
+    assert ran.returncode == 0, ran.stdout[-3000:]
+
+
 @pytest.mark.parametrize("target", ["revisit.service.failpoints:no_such_name", "revisit.no_such_module:name", "os:a.b"])
 def test_a_sabotage_of_what_is_not_there_says_so(target):
     with pytest.raises(DoesNotFit, match=r"change tests/faults/sabotage\.py"):
@@ -32,7 +37,7 @@ def test_a_sabotage_of_what_is_not_there_says_so(target):
 def test_a_sabotage_is_noticed(sabotage):
     if sabotage.test == POWER_CUT and can_record():
         pytest.skip(f"power cuts are replayed from what strace records: {can_record()}")
-    ran = run_test(sabotage.test, sabotage)
+    ran = run_test(sabotage.test, sabotage=sabotage)
     assert ran.returncode == 1, f"{sabotage.test} did not fail:\n{ran.stdout[-3000:]}{ran.stderr[-1000:]}"
     assert "1 failed" in ran.stdout
     assert not CLUMSY.findall(ran.stdout), ran.stdout[-3000:]
