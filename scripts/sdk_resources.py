@@ -30,7 +30,7 @@ from revisit.v1.comments import COMMENTS
 PATH = "revisit/sdk/resources.py"
 
 MADE = (
-    anchor_pb2.GeodeticPosition, anchor_pb2.Anchor, anchor_pb2.Georeference,
+    anchor_pb2.GeodeticPosition, anchor_pb2.Anchor, anchor_pb2.AnchoredSession, anchor_pb2.Georeference,
     map_pb2.LoopPolicy, map_pb2.Map, retention_pb2.RetentionPolicy, retention_pb2.RetentionOutcome,
     retention_pb2.RetentionReport, retention_pb2.MapRetention,
     robot_pb2.Robot, session_pb2.OdometryFault, session_pb2.Finding, session_pb2.NoLoops, session_pb2.Session,

@@ -87,12 +87,28 @@ class JudgedAnchor:
 
 
 @dataclass(frozen=True)
+class AnchoredSession:
+    """The anchors of a session as a whole: `anchors` of `of_anchors` hold the map; offset_m (3,), the median of the
+    places of all, less where the map has them; squared_distance, the same by the covariance of one anchor;
+    sigma_factor, by which their standard deviations were raised; elsewhere: they contradict the map as a whole.
+    """
+
+    session: str
+    anchors: int
+    of_anchors: int
+    offset_m: Array64
+    squared_distance: float
+    sigma_factor: float
+    elsewhere: bool
+
+
+@dataclass(frozen=True)
 class Georeference:
     """The place of a map frame in the world: that of the component whose first session is `session`.
 
     T_world_map (4, 4); covariance (6, 6) of its tangent (x, y, z, rx, ry, rz) in the map frame, metres and radians;
     heading_sigma_rad by the spread of the `anchors` that hold it, of so many; residual_m, the root mean square of
-    theirs across the ground.
+    theirs across the ground; sessions, those whose anchors are not as they state.
     """
 
     session: str
@@ -102,6 +118,7 @@ class Georeference:
     anchors: int
     of_anchors: int
     residual_m: float
+    sessions: tuple[AnchoredSession, ...] = ()
 
 
 def require_anchors(anchors: Sequence[Anchor], lengths: Mapping[str, int]) -> None:

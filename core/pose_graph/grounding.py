@@ -30,6 +30,7 @@ from revisit.core.pose_graph.anchors import (
 from revisit.core.pose_graph.held_component import HeldComponent
 from revisit.core.pose_graph.least_squares import graduated, minimise, settled
 from revisit.core.pose_graph.odometry_weights import by_weighed_odometry
+from revisit.core.pose_graph.receivers import Receiver, as_sure_as_they_are, elsewhere, not_as_stated, receivers, spread
 
 Array64 = NDArray[np.float64]
 
@@ -63,16 +64,19 @@ class Grounded:
 
 @dataclass(frozen=True)
 class Grounding:
-    """One component, as it was solved without them, with its anchors."""
+    """One component, as it was solved without them, with its anchors, as sure as their receivers are."""
 
     component: HeldComponent
     anchors: tuple[Anchor, ...]
     absolute: AbsoluteEdges
+    receivers: Sequence[Receiver]
 
     @classmethod
     def of(cls, component: HeldComponent, anchors: Sequence[Anchor]) -> Grounding:
         """A component with these anchors."""
-        return cls(component, tuple(anchors), absolute_edges(anchors, component.rows))
+        its = receivers(anchors, absolute_edges(anchors, component.rows), component.before)
+        sure = as_sure_as_they_are(anchors, its)
+        return cls(component, sure, absolute_edges(sure, component.rows), its)
 
     def solved(self) -> Grounded:
         """The component by its anchors, or the reason why they do not hold it."""
@@ -80,7 +84,7 @@ class Grounding:
         if (reason := _too_weak(self.anchors, self.absolute, before)) is not None:
             return _refused(self.anchors, reason)
         terms = GroundedEdges(self.component.edges, level(0, before[0]).joined(self.absolute))
-        poses, kept = _solved(terms, aligned(self.absolute, before) @ before)
+        poses, kept = self._by_most(terms, *_solved(terms, aligned(self.absolute, before) @ before))
         agreeing = list(itertools.compress(self.anchors, kept))
         if _weight(agreeing) < LEAST_SHARE * _weight(self.anchors):
             return _refused(self.anchors, AnchorReason.MOSTLY_DISAGREE)
@@ -88,6 +92,31 @@ class Grounding:
             return _refused(self.anchors, reason)
         poses = by_weighed_odometry(self.component.trajectories, _heard(terms, kept), None, poses)
         return Grounded(self._judged(poses, kept), self._solution(terms, poses, kept))
+
+    def _by_most(
+        self, terms: GroundedEdges, poses: Array64, kept: NDArray[np.bool_]
+    ) -> tuple[Array64, NDArray[np.bool_]]:
+        """The same; or as the anchors of those sessions say that lie elsewhere as a whole, where they are more.
+
+        Few anchors that state to be sure outweigh many: a wrong base station would take the map along.
+        """
+        away = self._elsewhere(poses)
+        if 2 * self._submaps(away) <= self._submaps(np.ones_like(away)):
+            return poses, kept
+        some = self.absolute.chosen(away)
+        if _too_weak(list(itertools.compress(self.anchors, away)), some, self.component.before) is not None:
+            return poses, kept
+        alone = _heard(terms, away)
+        start, _ = _solved(alone, aligned(some, self.component.before) @ self.component.before)
+        others = _gated(terms, start)
+        return others if self._submaps(self._elsewhere(others[0])) < self._submaps(away) else (poses, kept)
+
+    def _elsewhere(self, poses: Array64) -> NDArray[np.bool_]:
+        return elsewhere(self.receivers, self.anchors, self.absolute, poses)
+
+    def _submaps(self, which: NDArray[np.bool_]) -> int:
+        """How many submaps have these anchors: receivers differ in how often they tell one."""
+        return len(np.unique(self.absolute.rows[which]))
 
     def _judged(self, poses: Array64, kept: NDArray[np.bool_]) -> tuple[JudgedAnchor, ...]:
         misfits, squared = -self.absolute.errors(poses)[:, :3], self.absolute.squared_errors(poses)
@@ -101,15 +130,18 @@ class Grounding:
         component, agreeing = self.component, self.absolute.chosen(kept)
         T_world_map = poses[0] @ se3.inverse(component.before[0])
         of_first, covariances = _covariances(_heard(terms, kept), poses)
-        turn, misfits = se3.adjoint(component.before[0]), agreeing.errors(poses)[:, :2]
+        turn, errors = se3.adjoint(component.before[0]), -self.absolute.errors(poses)[:, :3]
+        covariance, to_map = turn @ of_first @ turn.T, T_world_map[:3, :3].T
+        covariance[:3, :3] += to_map @ spread(self.receivers, kept, errors) @ to_map.T
         georeference = Georeference(
             session=component.trajectories[0].session,
             T_world_map=T_world_map,
-            covariance=turn @ of_first @ turn.T,
+            covariance=covariance,
             heading_sigma_rad=heading_sigma_rad(agreeing, poses),
             anchors=int(kept.sum()),
             of_anchors=len(kept),
-            residual_m=float(np.sqrt((misfits**2).sum(axis=1).mean())),
+            residual_m=float(np.sqrt((errors[kept, :2] ** 2).sum(axis=1).mean())),
+            sessions=not_as_stated(self.receivers, self.anchors, kept, errors),
         )
         return Solution(
             component.by_session(se3.inverse(T_world_map) @ poses),
@@ -141,7 +173,12 @@ def _refused(anchors: Sequence[Anchor], reason: AnchorReason) -> Grounded:
 def _solved(terms: GroundedEdges, start: Array64) -> tuple[Array64, NDArray[np.bool_]]:
     """The poses in the world, and which anchors (k,) they rest on: those within the gate around them."""
     known = len(terms.edges) + 1
-    poses = graduated(terms, known, None, start)
+    return _gated(terms, graduated(terms, known, None, start))
+
+
+def _gated(terms: GroundedEdges, poses: Array64) -> tuple[Array64, NDArray[np.bool_]]:
+    """The same from poses that lie near."""
+    known = len(terms.edges) + 1
     kept = terms.squared_errors(poses)[known:] < GATE
     for _ in range(MAX_GATINGS):
         poses = minimise(_heard(terms, kept), None, poses)

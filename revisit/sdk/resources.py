@@ -69,6 +69,26 @@ class Anchor(Resource):
 
 
 @dataclass(frozen=True, kw_only=True)
+class AnchoredSession(Resource):
+    """The anchors of a session that are less sure than they state, or lie beside the map as a whole by more than one of
+    them is sure.
+    """
+
+    session: str = ""
+    """maps/{map}/sessions/{session}"""
+    anchors: int = 0
+    """Its anchors that hold the frame,"""
+    of_anchors: int = 0
+    """of so many."""
+    offset_m: tuple[float, float, float]
+    """The median of their places less where the map has them: east, north and up, metres."""
+    sigma_factor: float = 0.0
+    """Their standard deviations were taken as so many times the stated ones; 1 as they are."""
+    elsewhere: bool = False
+    """They contradict the map as a whole: a wrong base station, heights above the sea instead of the ellipsoid."""
+
+
+@dataclass(frozen=True, kw_only=True)
 class Georeference(Resource):
     """Where a frame of a map lies on earth, by the anchors that hold it."""
 
@@ -84,6 +104,8 @@ class Georeference(Resource):
     """of so many."""
     residual_m: float = 0.0
     """Root mean square of their residuals across the ground, metres."""
+    sessions: tuple[AnchoredSession, ...] = ()
+    """The sessions whose anchors are not as they state, the furthest off first, 50 at most."""
 
 
 @dataclass(frozen=True, kw_only=True)

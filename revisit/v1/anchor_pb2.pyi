@@ -96,20 +96,38 @@ class NewAnchor(_message.Message):
     def __init__(self, anchor_id: _Optional[str] = ..., kind: _Optional[_Union[Anchor.Kind, str]] = ..., stamp_ns: _Optional[int] = ..., geodetic: _Optional[_Union[GeodeticPosition, _Mapping]] = ..., local_m: _Optional[_Union[_geometry_pb2.Vector3, _Mapping]] = ..., covariance_enu: _Optional[_Iterable[float]] = ..., offset_m: _Optional[_Union[_geometry_pb2.Vector3, _Mapping]] = ..., t_odom_sensor: _Optional[_Union[_geometry_pb2.Transform, _Mapping]] = ..., heading_rad: _Optional[float] = ..., heading_sigma_rad: _Optional[float] = ...) -> None: ...
 
 class Georeference(_message.Message):
-    __slots__ = ("frame", "t_enu_map", "covariance", "anchors", "of_anchors", "residual_m")
+    __slots__ = ("frame", "t_enu_map", "covariance", "anchors", "of_anchors", "residual_m", "sessions")
     FRAME_FIELD_NUMBER: _ClassVar[int]
     T_ENU_MAP_FIELD_NUMBER: _ClassVar[int]
     COVARIANCE_FIELD_NUMBER: _ClassVar[int]
     ANCHORS_FIELD_NUMBER: _ClassVar[int]
     OF_ANCHORS_FIELD_NUMBER: _ClassVar[int]
     RESIDUAL_M_FIELD_NUMBER: _ClassVar[int]
+    SESSIONS_FIELD_NUMBER: _ClassVar[int]
     frame: str
     t_enu_map: _geometry_pb2.Transform
     covariance: _containers.RepeatedScalarFieldContainer[float]
     anchors: int
     of_anchors: int
     residual_m: float
-    def __init__(self, frame: _Optional[str] = ..., t_enu_map: _Optional[_Union[_geometry_pb2.Transform, _Mapping]] = ..., covariance: _Optional[_Iterable[float]] = ..., anchors: _Optional[int] = ..., of_anchors: _Optional[int] = ..., residual_m: _Optional[float] = ...) -> None: ...
+    sessions: _containers.RepeatedCompositeFieldContainer[AnchoredSession]
+    def __init__(self, frame: _Optional[str] = ..., t_enu_map: _Optional[_Union[_geometry_pb2.Transform, _Mapping]] = ..., covariance: _Optional[_Iterable[float]] = ..., anchors: _Optional[int] = ..., of_anchors: _Optional[int] = ..., residual_m: _Optional[float] = ..., sessions: _Optional[_Iterable[_Union[AnchoredSession, _Mapping]]] = ...) -> None: ...
+
+class AnchoredSession(_message.Message):
+    __slots__ = ("session", "anchors", "of_anchors", "offset_m", "sigma_factor", "elsewhere")
+    SESSION_FIELD_NUMBER: _ClassVar[int]
+    ANCHORS_FIELD_NUMBER: _ClassVar[int]
+    OF_ANCHORS_FIELD_NUMBER: _ClassVar[int]
+    OFFSET_M_FIELD_NUMBER: _ClassVar[int]
+    SIGMA_FACTOR_FIELD_NUMBER: _ClassVar[int]
+    ELSEWHERE_FIELD_NUMBER: _ClassVar[int]
+    session: str
+    anchors: int
+    of_anchors: int
+    offset_m: _geometry_pb2.Vector3
+    sigma_factor: float
+    elsewhere: bool
+    def __init__(self, session: _Optional[str] = ..., anchors: _Optional[int] = ..., of_anchors: _Optional[int] = ..., offset_m: _Optional[_Union[_geometry_pb2.Vector3, _Mapping]] = ..., sigma_factor: _Optional[float] = ..., elsewhere: _Optional[bool] = ...) -> None: ...
 
 class PostAnchorsRequest(_message.Message):
     __slots__ = ("parent", "anchors")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING
@@ -29,7 +29,7 @@ from revisit.service.ports.map_optimiser import (
 )
 
 if TYPE_CHECKING:
-    from revisit.core.pose_graph.anchors import Anchor
+    from revisit.core.pose_graph.anchors import Anchor, Georeference
     from revisit.core.pose_graph.graph import LoopEdge, Node, PoseGraph
     from revisit.core.pose_graph.optimisation import OptimisedGraph, SolvedByLoops
 
@@ -135,7 +135,7 @@ class NamedGraph:
                 JudgedTrackAnchor(_number(anchor.name), verdict)
                 for anchor, verdict in zip(self.fixed, optimised.anchors, strict=True)
             ),
-            on_earth=tuple(FrameOnEarth(numbers[one.session], one) for one in optimised.georeferences),
+            on_earth=tuple(_on_earth(one, numbers) for one in optimised.georeferences),
             otherwise=None if optimised.otherwise is None else self.answer(optimised.otherwise),
             T_odom_submap={numbers[name]: its for name, its in optimised.T_odom_submap.items()},
         )
@@ -188,6 +188,12 @@ def _anchors(fixed: Sequence[TrackAnchor], nodes: dict[int, Node]) -> list[Ancho
         for one in fixed
     ]
     return sorted(made, key=lambda one: (one.node, one.name))
+
+
+def _on_earth(found: Georeference, numbers: Mapping[str, int]) -> FrameOnEarth:
+    """A frame on earth, sessions by their numbers."""
+    told = (replace(one, session=str(numbers[one.session])) for one in found.sessions)
+    return FrameOnEarth(numbers[found.session], replace(found, sessions=tuple(told)))
 
 
 def _edges(loops: Sequence[TrackLoop], nodes: dict[int, Node]) -> list[LoopEdge]:

@@ -13,7 +13,7 @@ from revisit.service.features.corrections.calls import CorrectionView
 from revisit.service.features.events.calls import DriveChangesView
 from revisit.service.features.merging.calls import MergeMap
 from revisit.service.features.optimisation.calls import MapVersionView, SubmapPoseView
-from revisit.service.ports.map_optimiser import GEOREFERENCES
+from revisit.service.ports.map_optimiser import GEOREFERENCES, SESSIONS
 from revisit.service.use_cases import UseCases
 from revisit.service.wire import names, requests
 from revisit.service.wire.fields import (
@@ -67,6 +67,8 @@ def _summary_fields(summary: Mapping[str, Any]) -> Fields:
     frames = [{**one, "t_enu_map": transform_fields(one["T_enu_map"])} for one in summary.get(GEOREFERENCES, ())]
     for frame in frames:
         del frame["T_enu_map"]
+        told = frame.get(SESSIONS, ())
+        frame[SESSIONS] = [{**one, "offset_m": vector_fields(one["offset_m"])} for one in told]
     # Of a map that a known pose alone held, -1 was stored once.
     degrees = max(0, summary["degrees_of_freedom"])
     return {**summary, "degrees_of_freedom": degrees, GEOREFERENCES: frames}

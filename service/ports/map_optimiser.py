@@ -7,7 +7,7 @@ and loops are named by their content, so that the same drives give the same pose
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Protocol
 
 import numpy as np
@@ -92,10 +92,15 @@ class JudgedTrackAnchor:
 
 @dataclass(frozen=True)
 class FrameOnEarth:
-    """The place on earth of the frame that the session of a number gives."""
+    """The place on earth of the frame that the session of a number gives; sessions of `found` are such numbers, too."""
 
     session_number: int
     found: Georeference
+
+    def renumbered(self, number_of: Callable[[int], int]) -> FrameOnEarth:
+        """The same with other numbers of the sessions."""
+        told = (replace(one, session=str(number_of(int(one.session)))) for one in self.found.sessions)
+        return FrameOnEarth(number_of(self.session_number), replace(self.found, sessions=tuple(told)))
 
 
 @dataclass(frozen=True)
@@ -128,8 +133,10 @@ class JudgedLoop:
 FAULTS = "odometry_faults"
 """Where the stored summary of a version keeps the faults of odometry, beside the fields of a MapVersionSummary."""
 
-GEOREFERENCES = "georeferences"
-"""Where the stored summary of a version keeps the frames that lie on earth, where there are any."""
+GEOREFERENCES, SESSIONS = "georeferences", "sessions"
+"""Where the stored summary of a version keeps the frames that lie on earth, where there are any, and such a frame the
+sessions whose anchors are not as they state.
+"""
 
 AUDITED = "audited_submaps"
 """Where the stored summary of a version keeps `OptimisedMap.audited`."""

@@ -16,6 +16,7 @@ from revisit.core.errors import BadField
 from revisit.core.geometry import geodesy, se3
 from revisit.core.geometry.se3 import pose_matrix
 from revisit.service.adapters.core_map_optimiser import CoreMapOptimiser
+from revisit.service.calls.mapping import version_fields
 from revisit.service.domain.identity import SessionKey
 from revisit.service.domain.states import AnchorFrame, AnchorKind, EventKind
 from revisit.service.features.anchors import calls
@@ -254,6 +255,27 @@ async def test_a_deleted_session_leaves_no_verdict_on_its_anchors(world):
     assert anchor_verdicts(version.anchors).keys() == left
     await world.use_cases.maps.delete(TENANT, "town")
     assert world.context.transactions.read(lambda uow: uow.everything.anchors.count(TENANT)).result() == 0
+
+
+async def test_a_version_tells_a_session_whose_anchors_lie_elsewhere_until_that_is_deleted(world):
+    made = fleet_in(world, "town", 0.0, sessions=3, submaps=20).fleet
+    with_stamps(world)
+    for session in made.truth:
+        fixes = new_anchors(made, session)
+        above_the_sea = [
+            replace(one, position=(*one.position[:2], one.position[2] - 47.0 * (session == "s2"))) for one in fixes
+        ]
+        await world.use_cases.anchors.post(TENANT, SessionKey("town", session), above_the_sea)
+    await optimised(world)
+
+    async def told():
+        page = await world.use_cases.map_versions.list(TENANT, "town", PageRequest())
+        (frame,) = version_fields(page.items[-1])["summary"]["georeferences"]
+        return [(one["session"], one["elsewhere"], -49.0 < one["offset_m"]["z"] < -45.0) for one in frame["sessions"]]
+
+    assert await told() == [("maps/town/sessions/s2", True, True)]
+    await world.use_cases.sessions.delete(TENANT, SessionKey("town", "s2"))
+    assert await told() == []
 
 
 async def test_a_merge_leaves_a_map_on_earth_and_brings_the_anchors_of_the_other():

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from bisect import bisect_left
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 
 from revisit.core.geometry import geodesy, se3
 from revisit.core.geometry.se3 import pose_matrix, pose_row
-from revisit.core.pose_graph.anchors import Heading
+from revisit.core.pose_graph.anchors import AnchoredSession, Heading
 from revisit.service.domain.identity import TenantId
 from revisit.service.domain.records import AnchorRecord, MapRecord
 from revisit.service.domain.states import AnchorFrame
 from revisit.service.features.graph.map_frames import frame_name
-from revisit.service.ports.map_optimiser import GEOREFERENCES, FrameOnEarth, TrackAnchor
+from revisit.service.ports.map_optimiser import GEOREFERENCES, SESSIONS, FrameOnEarth, TrackAnchor
 from revisit.service.ports.repositories import PlacedSubmap
 from revisit.service.ports.storage import require_map
 from revisit.service.ports.transactions import UnitOfWork
@@ -109,8 +109,8 @@ def track_anchor(row: AnchorRecord, place: Array64, submap: PlacedSubmap) -> Tra
     return TrackAnchor(row.number, submap.number, point, place, np.reshape(row.covariance, (3, 3)), heading)
 
 
-def stored_frames(frames: Iterable[FrameOnEarth]) -> list[dict[str, Any]]:
-    """Frames on earth in the form of a version's summary."""
+def stored_frames(frames: Iterable[FrameOnEarth], names: Mapping[int, str]) -> list[dict[str, Any]]:
+    """Frames on earth in the form of a version's summary; names, those of sessions by number."""
     return [
         {
             "frame": frame_name(one.session_number),
@@ -119,6 +119,22 @@ def stored_frames(frames: Iterable[FrameOnEarth]) -> list[dict[str, Any]]:
             "anchors": one.found.anchors,
             "of_anchors": one.found.of_anchors,
             "residual_m": one.found.residual_m,
+            **({SESSIONS: told} if (told := _told(one.found.sessions, names)) else {}),
         }
         for one in frames
+    ]
+
+
+def _told(sessions: Iterable[AnchoredSession], names: Mapping[int, str]) -> list[dict[str, Any]]:
+    return [
+        {
+            "session": names[int(one.session)],
+            "anchors": one.anchors,
+            "of_anchors": one.of_anchors,
+            "offset_m": one.offset_m.tolist(),
+            "sigma_factor": one.sigma_factor,
+            "elsewhere": one.elsewhere,
+        }
+        for one in sessions
+        if int(one.session) in names
     ]

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from revisit.core.geometry.se3 import pose_matrix
 from revisit.core.pose_graph.graph import OdometryModel
-from revisit.service.domain.identity import TenantId
+from revisit.service.domain.identity import SessionKey, TenantId
 from revisit.service.domain.policy import Policy
 from revisit.service.domain.records import AnchorRecord, LoopRecord, MapRecord, SessionPosesRecord, SessionRecord
 from revisit.service.features.graph.anchors import read_anchors
@@ -39,6 +39,12 @@ class MapTask:
     loops: tuple[LoopRecord, ...]
     before: tuple[SessionPosesRecord, ...]
     audited: Mapping[int, int] = field(default_factory=dict)
+
+    @property
+    def session_names(self) -> dict[int, str]:
+        """The names of the sessions of the tracks, by number."""
+        both = zip(self.graph.tracks, self.session_ids, strict=True)
+        return {track.session_number: SessionKey(self.map.map_id, name).name for track, name in both}
 
 
 def read_task(

@@ -16,7 +16,7 @@ from revisit.core.pose_graph.graph import GraphState
 from revisit.service.domain.identity import SessionKey, TenantId
 from revisit.service.domain.records import MapVersionRecord
 from revisit.service.features.graph.anchor_verdicts import hash_of_anchors, kept_anchors
-from revisit.service.ports.map_optimiser import FAULTS, GEOREFERENCES, REFUSED_JOINS, JudgedLoop
+from revisit.service.ports.map_optimiser import FAULTS, GEOREFERENCES, REFUSED_JOINS, SESSIONS, JudgedLoop
 from revisit.service.ports.transactions import UnitOfWork
 
 _SUBMAP = np.dtype([("number", "<i8"), ("T_map_submap", "<f8", (4, 4)), ("covariance", "<f4", (6, 6))])
@@ -121,9 +121,16 @@ def _of_sessions(summary: Mapping[str, Any], sessions: Collection[str], frames: 
     left = {
         REFUSED_JOINS: [join for join in joins if all(join[side] for side in sides)],
         FAULTS: [fault for fault in summary.get(FAULTS, ()) if fault["session"] in sessions],
-        GEOREFERENCES: [one for one in summary.get(GEOREFERENCES, ()) if one["frame"] in frames],
+        GEOREFERENCES: [_frame_of(one, sessions) for one in summary.get(GEOREFERENCES, ()) if one["frame"] in frames],
     }
     return {name: its for name, its in left.items() if name in summary}
+
+
+def _frame_of(frame: Mapping[str, Any], names: Collection[str]) -> dict[str, Any]:
+    """A frame on earth that tells of sessions of these names alone."""
+    told = [one for one in frame.get(SESSIONS, ()) if one["session"] in names]
+    left = {name: its for name, its in frame.items() if name != SESSIONS}
+    return {**left, SESSIONS: told} if told else left
 
 
 def forget_in_summaries(uow: UnitOfWork, tenant: TenantId, map_id: str, submaps: Mapping[int, int]) -> None:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any
 
 from revisit.core.geometry.se3 import pose_row
@@ -265,9 +266,7 @@ class MergeCommit:
             target, graph=graph, session_ids=target.session_ids + tuple(ids),
             loops=target.loops + tuple(copies.loops.values()),
         )  # fmt: skip
-        on_earth = tuple(
-            replace(one, session_number=_session(one.session_number, copies)) for one in optimised.on_earth
-        )
+        on_earth = tuple(one.renumbered(partial(_session, copies=copies)) for one in optimised.on_earth)
         refused = both.target.refused + tuple(_kept_apart(one, copies) for one in both.source.refused)
         return task, replace(
             optimised, tracks=solved, loops=loops, faults=faults, refused_joins=refused, on_earth=on_earth

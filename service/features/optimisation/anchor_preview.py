@@ -72,7 +72,7 @@ class AnchorPreview:
         return {
             "anchors": _verdicts(asked.anchors, after),
             "others": _verdicts([*named.values()], after),
-            GEOREFERENCES: stored_frames(after.on_earth),
+            GEOREFERENCES: stored_frames(after.on_earth, asked.task.session_names),
             **_moves_m(before, after),
         }
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from revisit.core.geometry.se3 import pose_row
 from revisit.core.pose_graph.graph import GraphState
 from revisit.service.domain.events import EventRecord
-from revisit.service.domain.identity import SessionKey, TenantId
+from revisit.service.domain.identity import TenantId
 from revisit.service.domain.policy import Policy
 from revisit.service.domain.records import LoopRecord, MapRecord, MapVersionRecord, SessionPosesRecord
 from revisit.service.domain.states import AnchorKind, EventKind, LoopEventKind
@@ -228,17 +228,17 @@ def summary_of(task: MapTask, tracks: Sequence[OptimisedTrack], optimised: Optim
         "max_change_m": float(changes.max()) if len(changes) else None,
         **({FAULTS: stored_faults(task, optimised.faults)} if optimised.faults else {}),
         **({AUDITED: {str(one): count for one, count in optimised.audited.items()}} if optimised.audited else {}),
-        **({GEOREFERENCES: stored_frames(optimised.on_earth)} if optimised.on_earth else {}),
+        **({GEOREFERENCES: stored_frames(optimised.on_earth, task.session_names)} if optimised.on_earth else {}),
         **({REFUSED_JOINS: [_stored(task, one) for one in optimised.refused_joins]} if optimised.refused_joins else {}),
     }
 
 
 def _stored(task: MapTask, join: RefusedJoin) -> dict[str, Any]:
     """The fields of a RefusedJoin of the API."""
-    ids = {track.session_number: name for track, name in zip(task.graph.tracks, task.session_ids, strict=True)}
+    known = task.session_names
 
     def names(numbers: Iterable[int]) -> list[str]:
-        return [SessionKey(task.map.map_id, ids[number]).name for number in numbers]
+        return [known[number] for number in numbers]
 
     found = join.evidence
     measured = {"residual_m": found.residual_m} if np.isfinite(found.residual_m) else {}
