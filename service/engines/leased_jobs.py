@@ -12,7 +12,7 @@ from collections.abc import Callable, Collection
 from dataclasses import replace
 from typing import Any, Protocol
 
-from revisit.core.errors import ErrorCode
+from revisit.core.errors import DataLoss, ErrorCode
 from revisit.service.domain.errors import StaleLease
 from revisit.service.domain.identity import TenantId
 from revisit.service.domain.records import JobRecord, TurnRecord
@@ -28,6 +28,9 @@ MOST_FORGIVEN = 20
 """Runs of a job that may end for a reason that seems none of its own. A job that ends its worker in such a way every
 time is poison all the same: from then on its runs count."""
 
+DAMAGED = "the stored job is damaged: post its subject again, or ask again"
+"""Why a job ends that cannot be read."""
+
 STARTED_AGAIN = "the service was ended"
 """Why a run did not come back that was under way then."""
 
@@ -42,11 +45,15 @@ class LeasableJobs(JobRepository, Protocol):
         ...
 
     def exhausted(self, now_ms: int, *, hold: bool = False) -> list[JobRecord]:
-        """Jobs running on a lease that has run out, with no attempts left."""
+        """Jobs running on a lease that has run out, with no attempts left, but for damaged ones."""
         ...
 
     def leased_to(self, owner: str | None) -> list[JobRecord]:
-        """The running jobs of a worker, or of all, which are held."""
+        """The running jobs of a worker, or of all, which are held, but for damaged ones."""
+        ...
+
+    def fail_damaged(self, code: str, message: str, finished_at_ns: int) -> list[JobRecord]:
+        """End all unfinished jobs whose rows cannot be read as FAILED; those that can be read now, without payload."""
         ...
 
     def exchange(self, before: JobRecord, after: JobRecord) -> None:
@@ -91,7 +98,10 @@ class LeasedJobs:
     def waits(self) -> bool:
         """See `JobQueue`."""
         now_ms = self._now_ms()
-        return self._next(now_ms) is not None or bool(self._jobs.exhausted(now_ms))
+        try:
+            return self._next(now_ms) is not None or bool(self._jobs.exhausted(now_ms))
+        except DataLoss:
+            return True
 
     def claim(self, owner: str) -> Lease | None:
         """See `JobQueue`."""
@@ -167,6 +177,10 @@ class LeasedJobs:
             buried.append(_failed(job, ErrorCode.INTERNAL, _last_end(job), ended_ns))
             self._jobs.exchange(job, buried[-1])
         return buried
+
+    def fail_damaged_jobs(self) -> list[JobRecord]:
+        """See `JobQueue`."""
+        return self._jobs.fail_damaged(ErrorCode.DATA_LOSS, DAMAGED, self._clock.wall_ns())
 
     def release(self, owner: str, reason: str, *, innocent: bool = False) -> int:
         """See `JobQueue`."""

@@ -24,7 +24,10 @@ class LeasedRuns(Protocol):
     """A worker's operations on one job: lease it, keep the lease, report its end."""
 
     def claim(self, owner: str) -> Lease | None:
-        """Lease the next runnable job, of the next tenant in turn, to `owner`; the attempt is counted before."""
+        """Lease the next runnable job, of the next tenant in turn, to `owner`; the attempt is counted before.
+
+        Raises DataLoss where it is damaged.
+        """
         ...
 
     def require(self, lease: Lease) -> None:
@@ -52,6 +55,12 @@ class LostRuns(Protocol):
 
     def fail_exhausted_jobs(self) -> list[JobRecord]:
         """Fail and return the jobs with an expired lease and no attempts left."""
+        ...
+
+    def fail_damaged_jobs(self) -> list[JobRecord]:
+        """Fail and return the unfinished jobs that cannot be read, for which `claim` raises DataLoss: without payload,
+        and but for those that still cannot be read.
+        """
         ...
 
     def release(self, owner: str, reason: str, *, innocent: bool = False) -> int:

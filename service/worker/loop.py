@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import structlog
 
+from revisit.core.errors import DataLoss
 from revisit.service.context import ServiceContext
 from revisit.service.domain.errors import Unavailable
 from revisit.service.domain.records import JobRecord
@@ -104,7 +105,7 @@ class Worker:
             self._heartbeat.hold(lease)
             try:
                 self._jobs.run(lease)
-            except Unavailable as error:
+            except (Unavailable, DataLoss) as error:
                 # The lease runs out and the job is claimed again; its attempt is counted.
                 log.warning("job_end_not_stored", reason=error.message)
             finally:
@@ -128,7 +129,7 @@ class Worker:
         """The next job, if there is one and the database answers."""
         try:
             return self._claims.next()
-        except Unavailable as error:
+        except (Unavailable, DataLoss) as error:
             log.warning("claim_failed", reason=error.message)
             return None
 

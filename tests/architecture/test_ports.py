@@ -26,7 +26,7 @@ LARGER = {
     "LoopRepository": 20,
     "WebhookRepository": 18,
     "AwaitedJobs": 16,
-    "JobQueue": 13,  # four smaller ports by their user: worker, supervisor, progress, drives in turn
+    "JobQueue": 14,  # four smaller ports by their user: worker, supervisor, progress, drives in turn
     "VectorIndex": 11,
     "PlaceRecogniser": 7,
     "BlobStore": 7,

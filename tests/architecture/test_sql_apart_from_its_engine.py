@@ -102,6 +102,7 @@ CALLS = {
     "SqlJobs.exhausted": lambda uow: uow.jobs.exhausted(NOW_MS, hold=True),
     "SqlJobs.exchange": lambda uow: uow.jobs.exchange(a_job(), a_job(attempts=2)),
     "SqlJobs.leased_to": lambda uow: uow.jobs.leased_to("worker"),
+    "SqlJobs.fail_damaged": lambda uow: uow.jobs.fail_damaged("DATA_LOSS", "damaged", 1),
     "SqlJobs.forget_answers": lambda uow: uow.jobs.forget_answers(5, 10),
     "SqlJobs.waiting": lambda uow: uow.jobs.waiting(),
     "SqlTenantTurns.waiting": lambda uow: SqlTenantTurns(uow.connection).waiting(),

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from sqlalchemy import JSON, BigInteger, Column, String, Table, UniqueConstraint
+from sqlalchemy import BigInteger, Column, String, Table, UniqueConstraint
 
-from revisit.service.engines.sql.tables import JsonTuple, metadata
+from revisit.service.engines.sql.packed_columns import JsonTuple, StoredJson
+from revisit.service.engines.sql.tables import metadata
 
 api_keys = Table(
     "api_keys",
@@ -32,7 +33,7 @@ audit_log = Table(
     Column("actor", String(256), nullable=False),
     Column("action", String(32), nullable=False),
     Column("subject", String(256), nullable=False),
-    Column("detail", JSON(), nullable=False),
+    Column("detail", StoredJson(), nullable=False),
     Column("previous_hash", String(64), nullable=False),
     Column("hash", String(64), nullable=False),
 )

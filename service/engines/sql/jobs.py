@@ -6,7 +6,19 @@ from collections.abc import Collection
 from functools import cache
 from typing import Any
 
-from sqlalchemy import BindParameter, ColumnElement, Select, and_, bindparam, delete, func, or_, select, text
+from sqlalchemy import (
+    BindParameter,
+    ColumnElement,
+    Select,
+    and_,
+    bindparam,
+    delete,
+    func,
+    or_,
+    select,
+    text,
+    update,
+)
 
 from revisit.service.domain.identity import TenantId
 from revisit.service.domain.records import JobRecord
@@ -27,6 +39,25 @@ class SqlJobs(SqlRepository[JobRecord]):
         first = [self._of(row) for row in rows if row is not None]
         return min(first, key=lambda job: (job.priority, job.number), default=None)
 
+    def fail_damaged(self, code: str, message: str, finished_at_ns: int) -> list[JobRecord]:
+        """See `LeasableJobs`. What a damaged row held beside its numbers is gone."""
+        number, unended = tables.jobs.c.number, select(tables.jobs).where(_unended()).order_by(tables.jobs.c.number)
+        numbers = self._connection.execute(unended.with_only_columns(number)).scalars().all()
+        jobs = zip(numbers, self._each(self._connection.execute(unended)), strict=True)
+        damaged = [its for its, job in jobs if job is None]
+        ended = {"state": OperationState.FAILED.value, "finished_at_ns": finished_at_ns}
+        lost: dict[str, Any] = {
+            "payload": {},
+            "result": None,
+            "progress": None,
+            "failure_code": code,
+            "failure_message": message,
+        }
+        for its in damaged:
+            self._connection.execute(update(tables.jobs).where(number == its).values(**ended, **lost))
+        mended = select(tables.jobs).where(number.in_(damaged))
+        return self._readable(self._connection.execute(mended))
+
     def unfinished(self, tenant: TenantId, operation_ids: Collection[str]) -> frozenset[str]:
         """See `JobRepository`."""
         asked = {"its_tenant": tenant, "operations": list(operation_ids)}
@@ -34,14 +65,14 @@ class SqlJobs(SqlRepository[JobRecord]):
 
     def exhausted(self, now_ms: int, *, hold: bool = False) -> list[JobRecord]:
         """See `LeasableJobs`."""
-        return [self._of(row) for row in self._connection.execute(_exhausted(hold), {"now_ms": now_ms})]
+        return self._readable(self._connection.execute(_exhausted(hold), {"now_ms": now_ms}))
 
     def leased_to(self, owner: str | None) -> list[JobRecord]:
         """See `LeasableJobs`."""
         query = select(tables.jobs).where(tables.jobs.c.state == OperationState.RUNNING.value)
         if owner is not None:
             query = query.where(tables.jobs.c.lease_owner == owner)
-        return [self._of(row) for row in self._connection.execute(query.with_for_update())]
+        return self._readable(self._connection.execute(query.with_for_update()))
 
     def exchange(self, before: JobRecord, after: JobRecord) -> None:
         """See `LeasableJobs`: only what differs is written."""
@@ -77,9 +108,12 @@ class SqlJobs(SqlRepository[JobRecord]):
 def _unfinished() -> Select[Any]:
     """The `operations` of `its_tenant` that wait or run."""
     jobs, operations = tables.jobs.c, BindParameter[Any]("operations", expanding=True)
-    going_on = jobs.state.in_((OperationState.QUEUED.value, OperationState.RUNNING.value))
-    its = and_(jobs.tenant == bindparam("its_tenant"), jobs.operation_id.in_(operations), going_on)
+    its = and_(jobs.tenant == bindparam("its_tenant"), jobs.operation_id.in_(operations), _unended())
     return select(jobs.operation_id).where(its)
+
+
+def _unended() -> ColumnElement[bool]:
+    return tables.jobs.c.state.in_((OperationState.QUEUED.value, OperationState.RUNNING.value))
 
 
 @cache

@@ -1,21 +1,29 @@
-"""Columns of which a database has very many, packed: poses, and the evidence of pairs (docs/decisions/0091).
+"""Columns with a stored form of their own: JSON, and packed those of which a database has very many: poses, and the
+evidence of pairs (docs/decisions/0091). Those of an earlier version are JSON, and are read as such.
 
-Columns of an earlier version are JSON, and are read as such.
+A damaged row may hold anything in any column: bytes that no stored form has, or a value of another kind. Its readers
+get DATA_LOSS. Whether a value of the right kind is the one that was written, the checksums tell (docs/decisions/0306).
 """
 
 from __future__ import annotations
 
 import json
 import struct
-from collections.abc import Sequence
-from typing import Any
+import zlib
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import Any, ClassVar, TypeVar
 
 import numpy as np
+import structlog
 from numpy.typing import NDArray
-from sqlalchemy import Dialect, LargeBinary
+from sqlalchemy import JSON, Column, Dialect, LargeBinary, Row, Table
 from sqlalchemy.types import TypeDecorator
 
+from revisit.core.errors import DataLoss
 from revisit.service.engines.sql import packed_evidence
+
+T = TypeVar("T")
 
 Pose = tuple[float, ...]
 
@@ -23,8 +31,77 @@ _RIGID = b"\x01"
 _ROWS = struct.Struct("<c12d")
 _LAST_ROW = (0.0, 0.0, 0.0, 1.0)
 
+_UNREADABLE = (ArithmeticError, LookupError, TypeError, ValueError, struct.error, zlib.error)
+"""Errors of readers of bytes that are in no stored form."""
 
-class PackedPose(TypeDecorator[Pose]):
+_KNOWN = "known kinds"
+"""Under this name a table holds the kinds of rows that were looked at and fit: a few, by the columns that are null."""
+
+_log = structlog.get_logger(__name__)
+
+
+class RowDamaged(DataLoss):
+    """A row of the database is damaged; `revisit doctor --full` names every such row."""
+
+
+class StoredForm(TypeDecorator[T]):
+    """A column whose values have a stored form of their own: bytes of another form are DATA_LOSS."""
+
+    cache_ok = True
+    kind: ClassVar[tuple[type, ...]] = (tuple,)
+    """Classes of its values."""
+
+    def result_processor(self, dialect: Dialect, coltype: object) -> Callable[[Any], T | None] | None:
+        """The reader of a value. It raises RowDamaged."""
+        read = super().result_processor(dialect, coltype)
+        return None if read is None else partial(_read, read)
+
+
+class StoredJson(StoredForm[Any]):
+    """An object or a list as JSON."""
+
+    impl = JSON(none_as_null=True)
+    cache_ok = True
+    kind = (dict, list)
+
+
+class JsonTuple(StoredForm[tuple[Any, ...]]):
+    """A tuple of numbers or strings as a JSON list; floats keep every bit."""
+
+    impl = JSON(none_as_null=True)
+    cache_ok = True
+
+    def process_result_value(self, value: Any, dialect: Dialect) -> tuple[Any, ...] | None:
+        """The list read as a tuple."""
+        return None if value is None else tuple(value)
+
+
+def require_kinds(table: Table, row: Row[Any]) -> None:
+    """Require that each value of a row of all columns is of the kind of its column. Raises RowDamaged."""
+    kinds = tuple(map(type, row))
+    known = table.info.setdefault(_KNOWN, set())
+    if kinds not in known:
+        for column, kind in zip(table.columns, kinds, strict=False):
+            if not _fits(column, kind):
+                _log.error("row_damaged", table=table.name, row=row[0], column=column.name)
+                raise RowDamaged(f"row {row[0]} of {table.name} is damaged: {column.name} is no {column.type}"[:200])
+        known.add(kinds)
+
+
+def _read(read: Callable[[Any], T | None], value: Any) -> T | None:
+    try:
+        return read(value)
+    except _UNREADABLE as error:
+        raise RowDamaged from error
+
+
+def _fits(column: Column[Any], kind: type) -> bool:
+    if kind is type(None):
+        return bool(column.nullable)
+    return kind in (column.type.kind if isinstance(column.type, StoredForm) else (column.type.python_type,))
+
+
+class PackedPose(StoredForm[Pose]):
     """A rigid transform, 16 numbers row by row, as the 96 bytes of its first three rows: every bit is kept."""
 
     impl = LargeBinary
@@ -46,13 +123,14 @@ class PackedPose(TypeDecorator[Pose]):
         return (*_ROWS.unpack(value)[1:], *_LAST_ROW)
 
 
-class PackedEvidence(TypeDecorator[dict[str, Any]]):
+class PackedEvidence(StoredForm[dict[str, Any]]):
     """JSON, in less than 100 bytes where it is no more than the evidence kept of a rejected pair, or the rules that
     gave a verdict; in 400 or so where it has a measured covariance (`packed_evidence`).
     """
 
     impl = LargeBinary
     cache_ok = True
+    kind = (dict,)
 
     def process_bind_param(self, value: dict[str, Any] | None, dialect: Dialect) -> bytes | None:
         """The evidence in few bytes, or as JSON."""

@@ -8,7 +8,7 @@ from __future__ import annotations
 import dataclasses
 import json
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import cache
 from operator import itemgetter
 from typing import Any, Generic, TypeVar
@@ -18,6 +18,7 @@ from sqlalchemy import (
     BindParameter,
     ColumnElement,
     Connection,
+    CursorResult,
     Delete,
     Row,
     Select,
@@ -48,6 +49,7 @@ from revisit.service.engines.sql import tables
 from revisit.service.engines.sql.checksums import sound_descriptor
 from revisit.service.engines.sql.engine import DatabaseEngine
 from revisit.service.engines.sql.map_numbers import note_submap
+from revisit.service.engines.sql.packed_columns import RowDamaged, require_kinds
 from revisit.service.engines.sql.presence import present
 from revisit.service.ports.repositories import FoundSubmap, PathPoint, PlacedSubmap, SubmapStanding
 
@@ -147,7 +149,10 @@ class SqlRepository(Generic[R]):
 
     def of_all_tenants(self, *, after: int = 0, limit: int | None = None) -> list[R]:
         """See `Repository`."""
-        return self._found({}, after, limit)
+        try:
+            return self._found({}, after, limit)
+        except RowDamaged:
+            return self._sound(after, limit)
 
     def replace(self, record: R) -> None:
         """See `Repository`."""
@@ -212,7 +217,36 @@ class SqlRepository(Generic[R]):
         rows = self._connection.execute(query, {**asked, "after_number": after, "at_most": limit})
         return [self._of(row) for row in rows]
 
+    def _sound(self, after: int, limit: int | None) -> list[R]:
+        """The rows of all tenants but for damaged ones; none only where none follow."""
+        query = _rows_after(self._table, self._sees_all, (), (), limited=limit is not None)
+        found: list[R] = []
+        numbers: Sequence[int] = [after]
+        while numbers and not found:
+            asked = {"after_number": numbers[-1], "at_most": limit}
+            numbers = self._connection.execute(query.with_only_columns(self._table.c.number), asked).scalars().all()
+            found = self._readable(self._connection.execute(query, asked))
+        return found
+
+    def _readable(self, rows: CursorResult[Any]) -> list[R]:
+        """The records but for damaged ones."""
+        return [record for record in self._each(rows) if record is not None]
+
+    def _each(self, rows: CursorResult[Any]) -> Iterator[R | None]:
+        """The record of each row; None for a damaged one."""
+        while True:
+            try:
+                row = rows.fetchone()
+                record = None if row is None else self._of(row)
+            except RowDamaged:
+                yield None
+                continue
+            if record is None:
+                return
+            yield record
+
     def _of(self, row: Row[Any]) -> R:
+        require_kinds(self._table, row)
         fields = _in_order_of_fields(self._table, self._record)  # type: ignore[arg-type]  # classes are hashable
         return self._record(*fields(row))
 

@@ -11,11 +11,9 @@ from dataclasses import fields
 from typing import Any
 
 from sqlalchemy import (
-    JSON,
     BigInteger,
     Boolean,
     Column,
-    Dialect,
     Float,
     ForeignKeyConstraint,
     Index,
@@ -26,10 +24,9 @@ from sqlalchemy import (
     Text,
     UniqueConstraint,
 )
-from sqlalchemy.types import TypeDecorator
 
 from revisit.service.domain.records import SessionDetails
-from revisit.service.engines.sql.packed_columns import PackedEvidence, PackedPose
+from revisit.service.engines.sql.packed_columns import JsonTuple, PackedEvidence, PackedPose, StoredJson
 
 NAMING = {
     "ix": "ix_%(table_name)s_%(column_0_N_name)s",
@@ -47,17 +44,6 @@ ACCEPTED = "state = 'ACCEPTED'"
 
 UNSEARCHED = "NOT searched"
 """The condition of the index of submaps with loops that are still searched for: a few at a time."""
-
-
-class JsonTuple(TypeDecorator[tuple[Any, ...]]):
-    """A tuple of numbers or strings as a JSON list; floats keep every bit."""
-
-    impl = JSON(none_as_null=True)
-    cache_ok = True
-
-    def process_result_value(self, value: Any, dialect: Dialect) -> tuple[Any, ...] | None:
-        """The list read as a tuple."""
-        return None if value is None else tuple(value)
 
 
 def _numbered(name: str, key: tuple[str, ...], *columns: Any) -> Table:
@@ -86,7 +72,7 @@ def _real(name: str, *, nullable: bool = False) -> Column[float]:
 
 
 def _json(name: str, *, nullable: bool = False) -> Column[Any]:
-    return Column(name, JSON(none_as_null=True), nullable=nullable)
+    return Column(name, StoredJson(), nullable=nullable)
 
 
 def _tuple(name: str, *, nullable: bool = False) -> Column[tuple[Any, ...]]:
@@ -584,7 +570,7 @@ processes = Table(
     Column("role", String(16), nullable=False),
     Column("address", String(255), nullable=False),
     Column("ready", Boolean, nullable=False),
-    Column("busy", JSON, nullable=False),
+    Column("busy", StoredJson(), nullable=False),
     Column("came_ms", BigInteger, nullable=False),
     Column("seen_ms", BigInteger, nullable=False),
 )

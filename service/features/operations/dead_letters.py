@@ -81,6 +81,8 @@ def mark_subject_failed(uow: UnitOfWork, job: JobRecord, code: str, message: str
 
 def _subject(uow: UnitOfWork, job: JobRecord) -> SubmapRecord | None:
     """The submap that a job describes, unless it was deleted (and maybe posted again, with a job of its own)."""
+    if not job.payload:  # the row of the job was damaged
+        return next(iter(uow.submaps.find(job.tenant, operation_id=job.operation_id)), None)
     key = SubmapKey(**job.payload)
     submap = uow.submaps.get(job.tenant, key.map_id, key.session_id, key.submap_id, hold=True)
     return submap if submap is not None and submap.operation_id == job.operation_id else None

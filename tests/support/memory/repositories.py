@@ -383,6 +383,10 @@ class MemoryJobs(MemoryRepository[JobRecord]):
         running = (job for job in self._all() if job.state == OperationState.RUNNING)
         return [job for job in running if owner in (None, job.lease_owner)]
 
+    def fail_damaged(self, code: str, message: str, finished_at_ns: int) -> list[JobRecord]:
+        """See `LeasableJobs`."""
+        return []
+
     def forget_answers(self, before_ns: int, limit: int) -> int:
         """See `JobRepository`."""
         ended = [(job.finished_at_ns, job.number) for job in self._all() if job.priority == 0 and job.finished_at_ns]

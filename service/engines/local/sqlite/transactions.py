@@ -64,6 +64,9 @@ FRAME_BYTES = 4096 + 24
 
 DAMAGED = ("SQLITE_CORRUPT", "SQLITE_NOTADB")
 
+NO_TEXT = "Could not decode to UTF-8"
+"""How the driver says that a text is none: it gives such an error no name."""
+
 
 class SqliteTransactions:
     """`Transactions` on a SQLite file that `migrate` has prepared."""
@@ -232,7 +235,7 @@ class StorageFailures:
         if name in FULL or (name == WRITE_FAILED and not may_grow(self.log, FRAME_BYTES)):
             self.on_full()
             return StorageFull()
-        if name in DAMAGED:
+        if name in DAMAGED or (not name and str(error.orig).startswith(NO_TEXT)):
             return DataLoss(f"the database is damaged: {error.orig}")
         if name.startswith("SQLITE_IOERR"):
             self.fail_stop.trip(f"{name}: {error.orig}")

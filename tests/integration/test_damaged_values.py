@@ -1,0 +1,122 @@
+"""A row that cannot be read is DATA_LOSS to its readers, and stands in nobody else's way."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from revisit.core.errors import DataLoss
+from revisit.service.domain.states import OperationState, SubmapState
+from revisit.service.features.operations.claiming import JobClaims
+from revisit.service.features.resources.paging import PageRequest
+from tests.support.records import a_loop, a_map, a_session, a_submap
+from tests.support.service_world import SESSION, TENANT, World, open_session, sqlite_world, submap
+from tests.support.stored_rows import run
+
+DATABASE = "revisit.db"
+
+
+@pytest.fixture
+def world(tmp_path):
+    made = sqlite_world(tmp_path)
+    yield made
+    made.context.transactions.close()
+
+
+def claims(world: World) -> JobClaims:
+    context = world.context
+    return JobClaims(context.transactions, context.disk, context.blob_outage, "w1")
+
+
+@pytest.mark.parametrize("damage", ["payload = substr(payload, 2)", "subject = CAST(subject AS BLOB)"])
+async def test_a_damaged_job_fails_with_its_submap_and_the_next_one_runs(world, tmp_path, damage):
+    await open_session(world)
+    first = await world.use_cases.posting.post(TENANT, submap("a", 1))
+    second = await world.use_cases.posting.post(TENANT, submap("b", 2))
+    run(tmp_path / DATABASE, f"UPDATE jobs SET {damage} WHERE number = 1")
+    lease = claims(world).next()
+    assert lease is not None and lease.job.operation_id == second.operation.operation_id
+    world.worker().run(lease)
+    states = {one.submap_id: one.state for one in await listed(world)}
+    assert states["b"] == SubmapState.DESCRIBED
+    if damage.startswith("payload"):
+        ended = await world.use_cases.operations.get(TENANT, first.operation.operation_id)
+        assert (ended.state, ended.failure_code) == (OperationState.FAILED, "DATA_LOSS")
+        assert states["a"] == SubmapState.FAILED
+    else:
+        with pytest.raises(DataLoss, match="row 1 of jobs is damaged: subject"):
+            await world.use_cases.operations.get(TENANT, first.operation.operation_id)
+
+
+MEASURED = {"measurement": {"score": 0.9, "covariance": np.eye(6).tolist(), "T_match_query": np.eye(4).tolist()}}
+"""Evidence that is packed."""
+
+
+@pytest.mark.parametrize(
+    ("evidence", "change"),
+    [
+        (MEASURED, "evidence = CAST(x'0301' || substr(evidence, 3) AS BLOB)"),
+        (MEASURED, "evidence = substr(evidence, 1, 60)"),
+        (MEASURED, "evidence = x'03'"),
+        (MEASURED, "evidence = x''"),
+        ({"inliers": 12}, "evidence = substr(evidence, 2)"),
+        ({"inliers": 12}, "evidence = x'31'"),
+        ({"inliers": 12}, "evidence = x'01ff'"),
+        ({"inliers": 12}, "evidence = x'ff'"),
+        ({"inliers": 12}, "T_match_query = substr(T_match_query, 2)"),
+        ({"inliers": 12}, "T_match_query = substr(T_match_query, 1, 50)"),
+        ({"inliers": 12}, "state = CAST(state AS BLOB)"),
+        ({"inliers": 12}, "reason = CAST(x'ff' AS TEXT)"),
+        ({"inliers": 12}, "created_at_ns = 1.5"),
+        ({"inliers": 12}, "similarity = 'x'"),
+    ],
+)
+def test_a_damaged_row_of_a_pair_is_data_loss(world, tmp_path, evidence, change):
+    store = world.context.transactions
+    store.write(lambda uow: add_pair(uow, evidence)).result()
+    assert store.read(lambda uow: uow.loops.find(TENANT)).result()[0].evidence == evidence
+    run(tmp_path / DATABASE, f"UPDATE loop_closures SET {change}")
+    with pytest.raises(DataLoss):
+        store.read(lambda uow: uow.loops.find(TENANT)).result()
+
+
+@pytest.mark.parametrize("change", ["evidence = x'03'", "evidence = x'7b'", "evidence = x'03010203'"])
+def test_a_damaged_row_of_a_pair_is_data_loss_to_a_pose_graph(world, tmp_path, change):
+    store = world.context.transactions
+    store.write(lambda uow: add_pair(uow, MEASURED)).result()
+    run(tmp_path / DATABASE, f"UPDATE loop_closures SET {change}")
+    with pytest.raises(DataLoss):
+        store.read(lambda uow: uow.loops.measured(TENANT, "town", after=0, limit=9)).result()
+
+
+def test_a_damaged_list_is_data_loss(world, tmp_path):
+    store = world.context.transactions
+    store.write(lambda uow: uow.maps.add(replace(a_map(), origin=(48.0, 11.0, 500.0)))).result()
+    run(tmp_path / DATABASE, "UPDATE maps SET origin = substr(origin, 2)")
+    with pytest.raises(DataLoss):
+        store.read(lambda uow: uow.maps.find(TENANT)).result()
+
+
+def add_pair(uow, evidence) -> None:
+    uow.maps.add(a_map())
+    uow.sessions.add(a_session("monday"))
+    numbers = [uow.submaps.add(a_submap(one)).number for one in ("a", "b")]
+    uow.loops.add(replace(a_loop(*numbers), evidence=evidence))
+
+
+async def listed(world: World):
+    return (await world.use_cases.submaps.list(TENANT, SESSION, PageRequest())).items
+
+
+@pytest.mark.parametrize("limit", [None, 1])
+def test_what_is_done_for_all_tenants_goes_on_beside_a_damaged_map(world, tmp_path, limit):
+    store = world.context.transactions
+    for map_id in ("one", "two", "three"):
+        store.write(lambda uow, map_id=map_id: uow.maps.add(replace(a_map(), map_id=map_id))).result()
+    run(tmp_path / DATABASE, "UPDATE maps SET profile = CAST(profile AS BLOB) WHERE map_id = 'two'")
+    run(tmp_path / DATABASE, "UPDATE maps SET origin = '[' WHERE map_id = 'one'")
+    found = store.read(lambda uow: uow.maps.of_all_tenants(limit=limit)).result()
+    assert [record.map_id for record in found] == ["three"]
+    assert not store.read(lambda uow: uow.maps.of_all_tenants(after=found[-1].number, limit=limit)).result()
