@@ -13,6 +13,8 @@ from typing import Self
 
 import numpy as np
 
+from revisit.core.errors import DataLoss
+
 MOST_HEARD = 64
 """Access points of a fingerprint: the strongest."""
 
@@ -45,7 +47,9 @@ class RadioFingerprint:
 
     @classmethod
     def of_bytes(cls, stored: bytes) -> Self:
-        """The inverse of `to_bytes`, but for fractions of a decibel."""
+        """The inverse of `to_bytes`, but for fractions of a decibel. Raises DataLoss."""
+        if len(stored) % _ROW.itemsize:
+            raise DataLoss("a stored fingerprint of radio is damaged")
         rows = np.frombuffer(stored, _ROW)
         return cls({row["identifier"].tobytes(): float(row["dbm"]) for row in rows})
 

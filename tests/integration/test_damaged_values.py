@@ -8,7 +8,10 @@ import numpy as np
 import pytest
 
 from revisit.core.errors import DataLoss
+from revisit.core.radio import RadioFingerprint
 from revisit.service.domain.states import OperationState, SubmapState
+from revisit.service.features.graph.anchor_verdicts import anchor_verdicts
+from revisit.service.features.graph.session_poses import PackedSubmaps, unpack_loops
 from revisit.service.features.operations.claiming import JobClaims
 from revisit.service.features.resources.paging import PageRequest
 from tests.support.records import a_loop, a_map, a_session, a_submap
@@ -97,6 +100,36 @@ def test_a_damaged_list_is_data_loss(world, tmp_path):
     run(tmp_path / DATABASE, "UPDATE maps SET origin = substr(origin, 2)")
     with pytest.raises(DataLoss):
         store.read(lambda uow: uow.maps.find(TENANT)).result()
+
+
+@pytest.mark.parametrize(
+    ("change", "read"),
+    [
+        ("UPDATE maps SET profile = 'rroduct'", lambda uow: uow.maps.find(TENANT)),
+        ("UPDATE submaps SET flags = 'x'", lambda uow: uow.submaps.flag_counts(TENANT, "town", "monday")),
+    ],
+)
+def test_a_damaged_word_is_data_loss(world, tmp_path, change, read):
+    store = world.context.transactions
+    store.write(lambda uow: add_pair(uow, {})).result()
+    run(tmp_path / DATABASE, change)
+    with pytest.raises(DataLoss):
+        store.read(read).result()
+
+
+@pytest.mark.parametrize(
+    "read",
+    [
+        lambda: PackedSubmaps.of(bytes(279)),
+        lambda: unpack_loops(bytes(16)),
+        lambda: unpack_loops(bytes(8) + b"\x09" + bytes(8)),
+        lambda: anchor_verdicts(bytes(3)),
+        lambda: RadioFingerprint.of_bytes(bytes(10)),
+    ],
+)
+def test_damaged_rows_of_numbers_are_data_loss(read):
+    with pytest.raises(DataLoss):
+        read()
 
 
 def add_pair(uow, evidence) -> None:

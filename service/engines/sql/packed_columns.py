@@ -17,7 +17,7 @@ from typing import Any, ClassVar, TypeVar
 import numpy as np
 import structlog
 from numpy.typing import NDArray
-from sqlalchemy import JSON, Column, Dialect, LargeBinary, Row, Table
+from sqlalchemy import JSON, Column, Dialect, LargeBinary, Row, String, Table
 from sqlalchemy.types import TypeDecorator
 
 from revisit.core.errors import DataLoss
@@ -54,7 +54,7 @@ class StoredForm(TypeDecorator[T]):
     def result_processor(self, dialect: Dialect, coltype: object) -> Callable[[Any], T | None] | None:
         """The reader of a value. It raises RowDamaged."""
         read = super().result_processor(dialect, coltype)
-        return None if read is None else partial(_read, read)
+        return None if read is None else partial(read_stored, read)
 
 
 class StoredJson(StoredForm[Any]):
@@ -76,6 +76,26 @@ class JsonTuple(StoredForm[tuple[Any, ...]]):
         return None if value is None else tuple(value)
 
 
+class StoredWord(StoredForm[str]):
+    """One of some words, such as the values of an enumeration."""
+
+    impl = String
+    cache_ok = True
+    kind = (str,)
+
+    def __init__(self, words: tuple[str, ...], length: int) -> None:
+        """Of at most `length` characters."""
+        super().__init__(length)
+        self.words = words
+        self.length = length
+
+    def process_result_value(self, value: str | None, dialect: Dialect) -> str | None:
+        """The word. Raises ValueError for any other."""
+        if value is not None and value not in self.words:
+            raise ValueError("none of the words of this column")
+        return value
+
+
 def require_kinds(table: Table, row: Row[Any]) -> None:
     """Require that each value of a row of all columns is of the kind of its column. Raises RowDamaged."""
     kinds = tuple(map(type, row))
@@ -88,7 +108,8 @@ def require_kinds(table: Table, row: Row[Any]) -> None:
         known.add(kinds)
 
 
-def _read(read: Callable[[Any], T | None], value: Any) -> T | None:
+def read_stored(read: Callable[[Any], T], value: Any) -> T:
+    """The value that `read` makes of a stored one. Raises RowDamaged."""
     try:
         return read(value)
     except _UNREADABLE as error:

@@ -49,7 +49,7 @@ from revisit.service.engines.sql import tables
 from revisit.service.engines.sql.checksums import sound_descriptor
 from revisit.service.engines.sql.engine import DatabaseEngine
 from revisit.service.engines.sql.map_numbers import note_submap
-from revisit.service.engines.sql.packed_columns import RowDamaged, require_kinds
+from revisit.service.engines.sql.packed_columns import RowDamaged, read_stored, require_kinds
 from revisit.service.engines.sql.presence import present
 from revisit.service.ports.repositories import FoundSubmap, PathPoint, PlacedSubmap, SubmapStanding
 
@@ -387,8 +387,12 @@ class SqlSubmaps(SqlRepository[SubmapRecord]):
         kinds = select(flags_text, submaps.failure_code, func.count()).where(self._where(asked))
         counts: Counter[str] = Counter()
         for flags, failure, count in self._connection.execute(kinds.group_by(flags_text, submaps.failure_code), asked):
-            counts.update(dict.fromkeys((*json.loads(flags), *(() if failure is None else (failure,))), count))
+            counts.update(dict.fromkeys((*read_stored(_names, flags), *(() if failure is None else (failure,))), count))
         return dict(counts)
+
+
+def _names(text: str) -> tuple[str, ...]:
+    return tuple(json.loads(text))
 
 
 def of_tenant(tenant: TenantId, equals: Asked) -> dict[str, Scalar]:

@@ -25,8 +25,10 @@ from sqlalchemy import (
     UniqueConstraint,
 )
 
+from revisit.core.config import Profile
+from revisit.formats.pictures import JPEG, PNG
 from revisit.service.domain.records import SessionDetails
-from revisit.service.engines.sql.packed_columns import JsonTuple, PackedEvidence, PackedPose, StoredJson
+from revisit.service.engines.sql.packed_columns import JsonTuple, PackedEvidence, PackedPose, StoredJson, StoredWord
 
 NAMING = {
     "ix": "ix_%(table_name)s_%(column_0_N_name)s",
@@ -102,7 +104,7 @@ maps = _numbered(
     Column("map_version", BigInteger, nullable=False, server_default="0"),
     Column("graph_edits", BigInteger, nullable=False, server_default="0"),
     _text("index_file", length=128, nullable=True),
-    Column("profile", String(16), nullable=False, server_default="product"),
+    Column("profile", StoredWord(tuple(Profile), 16), nullable=False, server_default="product"),
     _text("retention", length=256, nullable=True),
     _json("retention_run", nullable=True),
     _tuple("origin", nullable=True),
@@ -415,7 +417,7 @@ plans = _numbered(
     _text("content_hash"),
     _text("display_name", length=256),
     _text("storey", nullable=True),
-    _text("media_type", length=16),
+    Column("media_type", StoredWord((PNG, JPEG), 16), nullable=False),
     _integer("width_px"),
     _integer("height_px"),
     _integer("size_bytes"),

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from revisit.core.geometry.se3 import Matrix4, pose_matrix
 from revisit.core.pose_graph.anchors import AnchorReason, AnchorState
 from revisit.service.domain.records import MapVersionRecord
+from revisit.service.features.graph.packed_rows import packed_rows
 from revisit.service.ports.map_optimiser import GEOREFERENCES, JudgedTrackAnchor
 
 Array64 = NDArray[np.float64]
@@ -39,7 +40,7 @@ def pack_anchors(anchors: Sequence[JudgedTrackAnchor]) -> bytes | None:
 
 def anchor_verdicts(data: bytes | None) -> dict[int, tuple[AnchorState, AnchorReason | None, Array64]]:
     """State, reason and residual (3,) of the anchors of a version, by number."""
-    rows = np.frombuffer(data or b"", _ANCHOR)
+    rows = _rows(data)
     return {
         int(row["number"]): (_STATES[row["state"]], _REASONS[row["reason"]], np.array(row["residual_m"]))
         for row in rows
@@ -50,7 +51,7 @@ def changed_anchors(before: bytes | None, after: bytes | None) -> tuple[frozense
     """The anchors, by number, that one of two versions sets aside and the other does not; and those that hold one of
     both alone.
     """
-    here, there = (np.frombuffer(data or b"", _ANCHOR) for data in (before, after))
+    here, there = (_rows(data) for data in (before, after))
 
     def of_one(state: AnchorState) -> frozenset[int]:
         one, other = (rows["number"][rows["state"] == _STATES.index(state)] for rows in (here, there))
@@ -61,7 +62,7 @@ def changed_anchors(before: bytes | None, after: bytes | None) -> tuple[frozense
 
 def kept_anchors(data: bytes | None, held: Collection[int]) -> bytes | None:
     """The verdicts on those anchors that are still there, by number."""
-    rows = np.frombuffer(data or b"", _ANCHOR)
+    rows = _rows(data)
     return rows[np.isin(rows["number"], list(held))].tobytes() or None
 
 
@@ -76,3 +77,8 @@ def hash_of_anchors(record: MapVersionRecord) -> list[str]:
         return []
     told = json.dumps(record.summary.get(GEOREFERENCES, []), sort_keys=True).encode()
     return [hashlib.sha256(record.anchors + told).hexdigest()]
+
+
+def _rows(data: bytes | None) -> NDArray[Any]:
+    """Raises DataLoss."""
+    return packed_rows(data, _ANCHOR, state=len(_STATES), reason=len(_REASONS))

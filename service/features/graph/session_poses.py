@@ -16,6 +16,7 @@ from revisit.core.pose_graph.graph import GraphState
 from revisit.service.domain.identity import SessionKey, TenantId
 from revisit.service.domain.records import MapVersionRecord
 from revisit.service.features.graph.anchor_verdicts import hash_of_anchors, kept_anchors
+from revisit.service.features.graph.packed_rows import packed_rows
 from revisit.service.ports.map_optimiser import FAULTS, GEOREFERENCES, REFUSED_JOINS, SESSIONS, JudgedLoop
 from revisit.service.ports.transactions import UnitOfWork
 
@@ -36,8 +37,8 @@ class PackedSubmaps:
 
     @classmethod
     def of(cls, data: bytes) -> PackedSubmaps:
-        """The inverse of `packed`; views of `data`, but for the numbers, which are sought."""
-        rows = np.frombuffer(data, _SUBMAP)
+        """The inverse of `packed`; views of `data`, but for the numbers, which are sought. Raises DataLoss."""
+        rows = packed_rows(data, _SUBMAP)
         return cls(rows["number"].copy(), rows["T_map_submap"], rows["covariance"])
 
     def packed(self) -> bytes:
@@ -67,8 +68,8 @@ def pack_loops(loops: Sequence[JudgedLoop]) -> bytes:
 
 
 def unpack_loops(data: bytes) -> list[JudgedLoop]:
-    """The inverse of `pack_loops`."""
-    rows = np.frombuffer(data, _LOOP)
+    """The inverse of `pack_loops`. Raises DataLoss."""
+    rows = packed_rows(data, _LOOP, state=len(_STATES))
     values = zip(rows["number"].tolist(), rows["state"].tolist(), rows["squared_distance"].tolist(), strict=True)
     return [JudgedLoop(number, _STATES[state], distance) for number, state, distance in values]
 
@@ -142,7 +143,7 @@ def forget_in_summaries(uow: UnitOfWork, tenant: TenantId, map_id: str, submaps:
         if row is None:
             continue
         of_version: dict[str, str | int] = {"map_id": map_id, "version": version}
-        verdicts = np.frombuffer(row.loops, _LOOP)
+        verdicts = packed_rows(row.loops, _LOOP, state=len(_STATES))
         verdicts = verdicts[np.isin(verdicts["number"], held)]
         loops = dict(
             zip(LOOPS_IN_SUMMARY, np.bincount(verdicts["state"], minlength=len(_STATES)).tolist(), strict=True)

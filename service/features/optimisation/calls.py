@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from revisit.core.errors import DataLoss
 from revisit.core.geometry.se3 import Matrix4
 from revisit.service.domain import limits
 from revisit.service.domain.errors import NotFound
@@ -218,6 +219,8 @@ def _poses(
     places = [(poses, packed, place) for poses, packed in sessions for place in range(len(packed.numbers))]
     shown = places[after : after + limit]
     known = uow.submaps.numbered(tenant, [int(packed.numbers[place]) for _, packed, place in shown])
+    if any(int(packed.numbers[place]) not in known for _, packed, place in shown):
+        raise DataLoss(f"the poses of version {version} of the map are damaged")
     return [
         SubmapPoseView(
             key=SubmapKey(map_id, poses.session_id, known[int(packed.numbers[place])].submap_id),
