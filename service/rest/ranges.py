@@ -11,6 +11,7 @@ from revisit.core.codec.map_layout import PIECE_BYTES
 from revisit.service.capacity.byte_budget import ByteBudget
 from revisit.service.domain.identity import TenantId
 from revisit.service.features.publishing.calls import OpenMapFile
+from revisit.service.rest.entity_tags import etag_of, is_known
 from revisit.service.rest.files import send_body
 
 MAP_FILE = "application/vnd.revisit.map+zip"
@@ -38,10 +39,10 @@ class FileInRanges(Response):
         self._budget = budget
         self._tenant = tenant
         self._file = file
-        etag = f'"{file.record.sha256}"'
+        etag = etag_of(file.record.sha256)
         current = if_range is None or if_range == etag
         self._wanted = asked_range(byte_range, file.layout.size) if current else None
-        self._known = if_none_match is not None and etag in [one.strip() for one in if_none_match.split(",")]
+        self._known = is_known(if_none_match, etag)
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Send it. Raises WorkersBusy where the budget has no room, DataLoss."""
@@ -74,7 +75,7 @@ class FileInRanges(Response):
         return {"content-disposition": f'attachment; filename="{view.map_id}-{view.version}.rvmap"'}
 
     def _header_rows(self, headers: dict[str, str]) -> list[tuple[bytes, bytes]]:
-        every = {"accept-ranges": "bytes", "etag": f'"{self._file.record.sha256}"', **headers}
+        every = {"accept-ranges": "bytes", "etag": etag_of(self._file.record.sha256), **headers}
         return [(name.encode(), value.encode("latin-1")) for name, value in every.items()]
 
 

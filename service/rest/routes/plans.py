@@ -17,6 +17,7 @@ from revisit.service.domain.identity import TenantId
 from revisit.service.rest.access import served
 from revisit.service.rest.answers import answer, answers
 from revisit.service.rest.bodies import ANY_BINARY, body_bytes, media_type, parse_numbers
+from revisit.service.rest.entity_tags import etag_of, is_known
 from revisit.service.rest.files import FileInPieces
 from revisit.service.rest.parameters import Cases, Id, Tenant
 from revisit.service.rest.request_form import form_of
@@ -79,8 +80,8 @@ async def download_plan(
 ) -> Response:
     """The picture of a plan as it was sent; its ETag is its hash."""
     record = (await cases.plans.get(tenant, map_id, plan_id)).record
-    etag = f'"{record.image_sha256}"'
+    etag = etag_of(record.image_sha256)
     headers = {**_ALONE, "etag": etag}
-    if if_none_match is not None and etag in [one.strip().removeprefix("W/") for one in if_none_match.split(",")]:
+    if is_known(if_none_match, etag):
         return Response(status_code=304, headers=headers)
     return FileInPieces(cases.budget, tenant, partial(cases.plans.picture, tenant, record), headers)
