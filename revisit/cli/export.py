@@ -137,6 +137,7 @@ def _require_fitting(file_format: str, session_id: str, recording: Path | None, 
 def _write_text(file_format: str, out: Path | None, http: str, map_id: str, session_id: str) -> dict[str, Any]:
     """A graph, a trajectory or a table, to a file or to stdout; a summary."""
     from revisit.cli.pose_graph_files import as_csv, as_g2o, as_tum, read_graph
+    from revisit.formats.whole_files import write_whole
 
     writers: dict[str, Callable[[Graph], str]] = {"g2o": as_g2o, "tum": as_tum, "csv": as_csv}
     graph = read_graph(http, map_id, session_id)
@@ -144,7 +145,7 @@ def _write_text(file_format: str, out: Path | None, http: str, map_id: str, sess
     if out is None:
         say(text.rstrip("\n"))
     else:
-        out.write_text(text)
+        write_whole(out, text)
     return {"file": str(out), "submaps": sum(map(len, graph.tracks)), "loops": len(graph.loops)}
 
 
@@ -228,6 +229,7 @@ def _write_scans(out: Path, http: str, chosen: tuple[str, str], recording: Recor
     from revisit.cli.map_files import placed_submaps
     from revisit.cli.resuming import has_place
     from revisit.cli.scan_trajectory import corrections_of, trajectory_lines
+    from revisit.formats.whole_files import write_whole
     from revisit.sdk.client import Client
 
     session = session_name(*chosen)
@@ -239,17 +241,18 @@ def _write_scans(out: Path, http: str, chosen: tuple[str, str], recording: Recor
     corrections = corrections_of(submaps, placed)
     if not corrections:
         raise refuse(f"{session} has no submap in the map yet")
-    out.write_text(trajectory_lines(recording, corrections))
+    write_whole(out, trajectory_lines(recording, corrections))
     return {"file": str(out), "scans": len(recording), "submaps": len(corrections)}
 
 
 def _write_kitti(out: Path, _http: str, placed: list[PlacedSubmap], _report: Report) -> dict[str, int]:
     """`out` and, beside it, NAME.times.txt."""
     from revisit.cli.map_files import as_kitti
+    from revisit.formats.whole_files import write_whole
 
     poses, times = as_kitti(placed)
-    out.write_text(poses)
-    out.with_suffix(".times.txt").write_text(times)
+    write_whole(out, poses)
+    write_whole(out.with_suffix(".times.txt"), times)
     return {}
 
 
@@ -275,6 +278,8 @@ def _write_cloud(
 
 def _cloud_writer(kind: str, epsg: int) -> Callable[..., object]:
     """Writes points, and their intensity, to a path. Raises ModuleNotFoundError, and BadField for another system."""
+    from revisit.formats.whole_files import write_whole
+
     if kind == "copc":
         from revisit.formats import copc
         from revisit.sdk.earth import wkt
@@ -284,7 +289,7 @@ def _cloud_writer(kind: str, epsg: int) -> Callable[..., object]:
 
     as_laz = partial(laz.encode, epsg=epsg or None)
     encoders: dict[str, Callable[..., bytes]] = {"ply": ply.encode, "pcd": pcd.encode, "laz": as_laz}
-    return lambda out, points, intensity: out.write_bytes(encoders[kind](points, intensity=intensity))
+    return lambda out, points, intensity: write_whole(out, encoders[kind](points, intensity=intensity))
 
 
 def _write_mesh(
@@ -292,9 +297,10 @@ def _write_mesh(
 ) -> dict[str, int]:
     from revisit.cli.map_files import merged_mesh
     from revisit.formats import glb, ply
+    from revisit.formats.whole_files import write_whole
 
     vertices, normals, faces = merged_mesh(http, placed, report, ever=ever)
-    out.write_bytes((glb if kind == "glb" else ply).encode_mesh(vertices, normals, faces))
+    write_whole(out, (glb if kind == "glb" else ply).encode_mesh(vertices, normals, faces))
     return {"vertices": len(vertices), "faces": len(faces)}
 
 
@@ -302,19 +308,21 @@ def _write_grid(out: Path, http: str, placed: list[PlacedSubmap], report: Report
     """`out` as PGM and, beside it, NAME.yaml."""
     from revisit.cli.map_files import merged_cloud
     from revisit.formats.occupancy_grid import grid_of
+    from revisit.formats.whole_files import write_whole
 
     grid = grid_of(merged_cloud(http, placed, report, ever=ever).points)
-    out.write_bytes(grid.to_pgm())
-    out.with_suffix(".yaml").write_text(grid.to_yaml(out.name))
+    write_whole(out, grid.to_pgm())
+    write_whole(out.with_suffix(".yaml"), grid.to_yaml(out.name))
     return {"rows": grid.cells.shape[0], "columns": grid.cells.shape[1]}
 
 
 def _write_mcap(out: Path, http: str, placed: list[PlacedSubmap], report: Report, ever: bool = False) -> dict[str, int]:
     from revisit.cli.map_files import by_session, merged_cloud
     from revisit.formats.mcap_map import encode
+    from revisit.formats.whole_files import write_whole
 
     sessions, cloud = by_session(placed), merged_cloud(http, placed, report, ever=ever)
-    out.write_bytes(encode(sessions, cloud.points, intensity=cloud.intensity))
+    write_whole(out, encode(sessions, cloud.points, intensity=cloud.intensity))
     return {"sessions": len(sessions), "points": len(cloud.points)}
 
 
@@ -322,9 +330,10 @@ def _write_reference(out: Path, http: str, placed: list[PlacedSubmap], _report: 
     from json import dumps
 
     from revisit.cli.map_files import reference_points
+    from revisit.formats.whole_files import write_whole
 
     found = reference_points(http, placed)
-    out.write_text(dumps(found, indent=1) + "\n")
+    write_whole(out, dumps(found, indent=1) + "\n")
     return {"sessions": len(found)}
 
 
@@ -333,9 +342,10 @@ def _write_geojson(
 ) -> dict[str, int]:
     """The drives of a map on earth; one that is not there is refused before."""
     from revisit.cli.earth import as_geojson
+    from revisit.formats.whole_files import write_whole
 
     if earth is not None:
-        out.write_text(as_geojson(placed, earth))
+        write_whole(out, as_geojson(placed, earth))
     return {}
 
 
@@ -345,17 +355,18 @@ def _write_autoware(
     """A folder of squares as PCD, their places, and the projector of a map on earth, or of one that is not."""
     from revisit.cli.map_files import merged_cloud
     from revisit.formats import autoware, pcd
+    from revisit.formats.whole_files import write_whole
 
     cloud = merged_cloud(http, placed, report, ever=ever)
     (out / autoware.CLOUDS).mkdir(parents=True, exist_ok=True)
     corners = []
     for corner, rows in autoware.squares_of(cloud.points):
         part = cloud.at(rows)
-        (out / autoware.CLOUDS / autoware.file_of(corner)).write_bytes(pcd.encode(part.points, part.intensity))
+        write_whole(out / autoware.CLOUDS / autoware.file_of(corner), pcd.encode(part.points, part.intensity))
         corners.append(corner)
-    (out / autoware.METADATA).write_text(autoware.metadata_of(corners))
+    write_whole(out / autoware.METADATA, autoware.metadata_of(corners))
     projector = autoware.LOCAL_PROJECTOR if earth is None else autoware.projector_of(earth.origin)
-    (out / autoware.PROJECTOR).write_text(projector)
+    write_whole(out / autoware.PROJECTOR, projector)
     return {"points": len(cloud.points), "squares": len(corners)}
 
 
@@ -364,6 +375,7 @@ def _write_tileset(out: Path, asked: Asked) -> dict[str, Any]:
     from revisit.cli.earth import frame_on_earth
     from revisit.formats.glb import bounds_of_scene
     from revisit.formats.tileset import NAME, TileFile, tileset
+    from revisit.formats.whole_files import write_whole
     from revisit.sdk.client import Client
 
     http, (map_id, session_id) = asked.http, asked.chosen
@@ -380,12 +392,12 @@ def _write_tileset(out: Path, asked: Asked) -> dict[str, Any]:
             data = client.download_tile(tile, "glb", as_of_ns=asked.as_of_ns, ever=asked.ever)
             if bounds := bounds_of_scene(data):
                 written.append(TileFile(f"{tile.name.rpartition('/')[2]}.glb", bounds))
-                (out / written[-1].uri).write_bytes(data)
+                write_whole(out / written[-1].uri, data)
             report("tiles", number, len(tiles))
     if not written:
         raise refuse(f"map {map_id} has no version with a surface yet")
     earth = frame_on_earth(http, map_id, largest)
-    (out / NAME).write_text(tileset(written, None if earth is None else earth.T_ecef_map))
+    write_whole(out / NAME, tileset(written, None if earth is None else earth.T_ecef_map))
     return {"file": str(out / NAME), "tiles": len(written)}
 
 

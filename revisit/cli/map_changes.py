@@ -85,11 +85,12 @@ def _show(map_id: str, found: Sequence[MapChange]) -> None:
 
 def _write_geojson(out: Path, http: str, map_id: str, found: Sequence[MapChange]) -> None:
     from revisit.cli.earth import changes_as_geojson, frame_on_earth
+    from revisit.formats.whole_files import write_whole
 
     frames = {name: frame_on_earth(http, map_id, name) for name in {one.frame for one in found}}
     on_earth = {name: earth for name, earth in frames.items() if earth is not None}
     if found and not on_earth:
         raise refuse(f"map {map_id} does not lie on earth: no anchors hold its version in force")
     text = changes_as_geojson([one for one in found if one.frame in on_earth], on_earth)
-    out.write_text(jsonlib.dumps(text, indent=1) + "\n")
+    write_whole(out, jsonlib.dumps(text, indent=1) + "\n")
     say(f"{out}: {len(text['features'])} changes")

@@ -41,6 +41,7 @@ def tiles(
     With `--distance`, which may be repeated: signed distances of points to the surface, metres. The surface is the one
     that the latest drive left, unless --as-of or --ever say otherwise.
     """
+    from revisit.formats.whole_files import write_whole
     from revisit.sdk.client import Client
 
     if distance and tile_id:
@@ -56,7 +57,7 @@ def tiles(
         elif out is not None:
             version = client.get_map(f"maps/{map_id}").map_version
             data = client.download_tile(f"maps/{map_id}/versions/{version}/tiles/{tile_id}", file_format, **moment)
-            out.write_bytes(data)
+            write_whole(out, data)
             say(f"{out}: {len(data):,} bytes of tile {tile_id}, version {version} of map {map_id}")
         else:
             _list(map_id, client.map_tiles(f"maps/{map_id}"), json)

@@ -40,6 +40,7 @@ def save(
 
     The same version gives the same bytes. Robots search and localise in it without a service.
     """
+    from revisit.formats.whole_files import write_whole
     from revisit.sdk.client import Client
 
     with Client(http) as client, progress_bar(quiet=json) as bar:
@@ -50,7 +51,7 @@ def save(
         else:
             submaps, map_hash = _published(client, out, chosen)
     document = vda5050(map_id, chosen, map_hash, link)
-    out.with_suffix(".vda5050.json").write_text(_json(document))
+    write_whole(out.with_suffix(".vda5050.json"), _json(document))
     if json:
         emit_json({"file": str(out), "submaps": submaps, **document})
     else:

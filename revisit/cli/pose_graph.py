@@ -38,14 +38,15 @@ def optimise_here(map_id: str, out: Path | None, http: str, json: bool) -> None:
 
 def _write(out: Path, read: Graph, graph: PoseGraph, optimised: OptimisedGraph) -> None:
     from revisit.cli.pose_graph_files import optimised_g2o, tum_lines
+    from revisit.formats.whole_files import write_whole
 
     out.mkdir(parents=True, exist_ok=True)
-    (out / "graph.g2o").write_text(optimised_g2o(graph, optimised))
+    write_whole(out / "graph.g2o", optimised_g2o(graph, optimised))
     for track in read.tracks:
         if track:
             session = track[0].name.partition("/submaps/")[0]
             poses = zip(track, optimised.T_map_submap[session], strict=True)
-            (out / f"{session.rpartition('/')[2]}.tum").write_text(tum_lines(poses))
+            write_whole(out / f"{session.rpartition('/')[2]}.tum", tum_lines(poses))
 
 
 def _summary(graph: PoseGraph, optimised: OptimisedGraph) -> dict[str, Any]:

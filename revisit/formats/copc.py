@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from revisit.core.geometry.voxel_keys import first_rows, grouped, voxel_keys
 from revisit.formats.las import SCALE_M, Millimetres, levels
+from revisit.formats.whole_files import written_beside
 
 CELLS = 128
 """Along the side of a node's cube."""
@@ -49,12 +50,8 @@ def write(
     info = config.copc_info
     info.center_x, info.center_y, info.center_z = (float(least) + half_m for least in low)
     info.halfsize, info.spacing = half_m, 2 * half_m / CELLS
-    part = path.with_name(f"{path.name}.part")
-    try:
+    with written_beside(path) as part:
         _write_nodes(part, config, stored, _rows(stored, intensity))
-        part.replace(path)
-    finally:
-        part.unlink(missing_ok=True)
 
 
 def _write_nodes(path: Path, config: copclib.CopcConfigWriter, stored: Millimetres, rows: NDArray[np.void]) -> None:

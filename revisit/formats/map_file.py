@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 
 from revisit.core.errors import DataLoss, MalformedBody
 from revisit.core.geometry.se3 import Matrix4, pose_matrix, pose_row
+from revisit.formats.whole_files import written_beside
 
 FORMAT = "revisit-map/1"
 
@@ -79,9 +80,10 @@ def write_map_file(
     submaps: Iterable[tuple[FiledSubmap, NDArray[np.float32], bytes]],
 ) -> str:
     """As `write_map`, to a file. The SHA-256 (hex) of the file: its mapHash."""
-    with file.open("wb") as stream:
-        write_map(stream, description, submaps)
-    return hash_of_file(file)
+    with written_beside(file) as part:
+        with part.open("wb") as stream:
+            write_map(stream, description, submaps)
+        return hash_of_file(part)
 
 
 def write_map(

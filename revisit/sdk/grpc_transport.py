@@ -19,7 +19,7 @@ from revisit.sdk.reading import Json
 from revisit.sdk.retry import RetryPolicy
 from revisit.sdk.scan_stream import GrpcScanSink, holds_scan
 from revisit.sdk.time_limit import remaining_s
-from revisit.sdk.transport import SILENT_S, Forgetful, StreamJournal
+from revisit.sdk.transport import MAX_FILE_BYTES, SILENT_S, Forgetful, StreamJournal
 from revisit.v1 import event_pb2, loop_closure_pb2, map_file_pb2, mapping_pb2
 
 MAX_MESSAGE_BYTES = 16 * 2**20
@@ -69,7 +69,7 @@ class GrpcTransport:
         def whole() -> bytes:
             deadline_s = remaining_s(ANSWER_TIMEOUT_S)
             chunks = Answers(self._method(name)(request, timeout=deadline_s, metadata=self._metadata))
-            return b"".join(chunk.data for chunk in chunks.all(deadline_s + LOST_AFTER_S))
+            return _joined(chunk.data for chunk in chunks.all(deadline_s + LOST_AFTER_S))
 
         return self._run(whole)
 
@@ -196,6 +196,17 @@ class GrpcCorrectionFeed:
     def close(self) -> None:
         """See CorrectionFeed."""
         self._call.cancel()
+
+
+def _joined(pieces: Iterator[bytes]) -> bytes:
+    """A file from its pieces. Raises ApiError where they are more than a file may have."""
+    whole = bytearray()
+    for piece in pieces:
+        whole += piece
+        if len(whole) > MAX_FILE_BYTES:
+            message = f"the file has more than {MAX_FILE_BYTES} bytes"
+            raise error_of(ErrorDetails("RESOURCE_EXHAUSTED", "RESOURCE_EXHAUSTED", message))
+    return bytes(whole)
 
 
 def _channel_credentials(credentials: Credentials) -> grpc.ChannelCredentials:

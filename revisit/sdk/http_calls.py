@@ -8,7 +8,7 @@ transport at once; its answers and errors are the same.
 from __future__ import annotations
 
 import ssl
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from functools import lru_cache
 from typing import Any
 
@@ -17,6 +17,16 @@ import httpx
 from revisit.sdk.time_limit import remaining_s
 
 URLS_KEPT = 256
+
+MAX_ANSWER_BYTES = 64 * 2**20
+"""Of an answer in one piece, as it is unpacked: a message of gRPC's bound takes no more as JSON."""
+
+MAX_LINE_BYTES = 2**20
+"""Of a line of an answer that comes in lines."""
+
+
+class AnswerTooLarge(Exception):
+    """An answer has more bytes than the client takes."""
 
 
 class HttpCalls:
@@ -44,15 +54,17 @@ class HttpCalls:
         headers: Mapping[str, str] | None = None,
         content: bytes | None = None,
         json: Any = None,
+        most_bytes: int = MAX_ANSWER_BYTES,
     ) -> httpx.Response:
-        """The whole answer. Raises httpx.TransportError."""
+        """The whole answer, of at most so many bytes. Raises httpx.TransportError, AnswerTooLarge."""
         timeout = {of: None if most_s is None else remaining_s(most_s) for of, most_s in self._timeout.items()}
         if self.client.base_url.userinfo:
             # Credentials in the address: authentication is httpx's.
-            return self.client.request(
+            with self.client.stream(
                 method, path, params=params, headers=headers, content=content, json=json,
                 timeout=httpx.Timeout(**timeout),
-            )  # fmt: skip
+            ) as answer:  # fmt: skip
+                return read_whole(answer, most_bytes)
         sent = self._sent_always
         if headers:
             sent = sent.copy()
@@ -69,11 +81,10 @@ class HttpCalls:
         answer = self._transport.handle_request(request)
         answer.request = request
         try:
-            answer.read()
+            return read_whole(answer, most_bytes)
         except BaseException:
             answer.close()
             raise
-        return answer
 
     def close(self) -> None:
         """Close all connections."""
@@ -81,3 +92,25 @@ class HttpCalls:
 
     def _built_url(self, path: str) -> httpx.URL:
         return self.client.build_request("GET", path).url
+
+
+def read_whole(answer: httpx.Response, most_bytes: int = MAX_ANSWER_BYTES) -> httpx.Response:
+    """The answer, read to its end as by `Response.read`. Raises AnswerTooLarge before it is, httpx.TransportError."""
+    pieces, size = [], 0
+    for piece in answer.iter_bytes():
+        pieces.append(piece)
+        size += len(piece)
+        if size > most_bytes:
+            raise AnswerTooLarge(f"the answer has more than {most_bytes} bytes")
+    answer._content = b"".join(pieces)  # of which `read` makes the same, without a bound
+    return answer
+
+
+def lines_of(pieces: Iterable[bytes]) -> Iterator[str]:
+    """The lines of an answer as they come, without their ends. Raises AnswerTooLarge."""
+    rest = b""
+    for piece in pieces:
+        *whole, rest = (rest + piece).split(b"\n")
+        if len(rest) > MAX_LINE_BYTES:
+            raise AnswerTooLarge(f"a line of the answer has more than {MAX_LINE_BYTES} bytes")
+        yield from (line.rstrip(b"\r").decode(errors="replace") for line in whole)

@@ -30,7 +30,7 @@ def fetch_file(file: MapFile, out: Path, read: Bytes, retry: RetryPolicy) -> Non
     while (come := _size(part)) < file.size_bytes:
         failures, size = (0, come) if come > size else (failures, size)
         try:
-            _append(part, read(file.name, come))
+            _append(part, read(file.name, come), file.size_bytes - come)
             if _size(part) == come:
                 raise _cut_short(file)
         except ApiError as error:
@@ -46,10 +46,13 @@ def _size(part: Path) -> int:
     return part.stat().st_size if part.exists() else 0
 
 
-def _append(part: Path, pieces: Iterator[bytes]) -> None:
+def _append(part: Path, pieces: Iterator[bytes], missing_bytes: int) -> None:
+    """Append what comes; no more than a piece beyond what is missing, which then has another hash."""
     with part.open("ab") as stream:
         for piece in pieces:
-            stream.write(piece)
+            missing_bytes -= stream.write(piece)
+            if missing_bytes < 0:
+                return
 
 
 def _require_hash(part: Path, file: MapFile) -> None:

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from revisit.formats.whole_files import write_whole
 from revisit.sdk.client import Client
 from revisit.sdk.resources import LoopClosure, Map, Submap
 
@@ -33,7 +34,7 @@ class MapPicture:
 
     def save(self, file: str | Path) -> None:
         """Write the image to an .svg file. Raises OSError."""
-        Path(file).write_text(self.svg)
+        write_whole(Path(file), self.svg)
 
 
 def picture(client: Client, map_: str | Map) -> MapPicture:

@@ -20,13 +20,13 @@ from revisit.core.scan_marks import ScanMarks, Way
 from revisit.sdk.clouds import Cloud
 from revisit.sdk.credentials import Credentials
 from revisit.sdk.errors import ApiError, ErrorDetails, FailedPrecondition, error_of, unreachable
-from revisit.sdk.http_calls import HttpCalls
+from revisit.sdk.http_calls import AnswerTooLarge, HttpCalls, lines_of, read_whole
 from revisit.sdk.http_requests import HttpRequest, cloud_arguments, http_request, pose_text
 from revisit.sdk.json_answers import message_of
 from revisit.sdk.messages import cloud_message
 from revisit.sdk.reading import Json
 from revisit.sdk.retry import RetryPolicy
-from revisit.sdk.transport import SILENT_S, Forgetful, Refusal, StreamJournal, listed
+from revisit.sdk.transport import MAX_FILE_BYTES, SILENT_S, Forgetful, Refusal, StreamJournal, listed
 from revisit.v1 import event_pb2, geometry_pb2, ingest_pb2, loop_closure_pb2, map_pb2, mapping_pb2, session_pb2
 
 M = TypeVar("M", bound=Message)
@@ -78,7 +78,8 @@ class RestTransport:
         # Formats are the enum's names in lower case.
         given = sent.arguments["params"]
         params = {key: one.lower() if isinstance(one, str) else one for key, one in given.items()}
-        return self._send(HttpRequest(sent.verb, sent.path, {"params": params})).content
+        arguments = {"params": params, "most_bytes": MAX_FILE_BYTES}
+        return self._send(HttpRequest(sent.verb, sent.path, arguments)).content
 
     def map_file_bytes(self, name: str, offset: int) -> Iterator[bytes]:
         """See Transport."""
@@ -91,7 +92,7 @@ class RestTransport:
         sent = http_request(CALLS["WatchEvents"], request)
         timeout = httpx.Timeout(SILENT_S, connect=CONNECT_TIMEOUT_S)
         with self._answered(sent.path, timeout=timeout, **sent.arguments) as answered:
-            yield from events_of(answered.iter_lines())
+            yield from events_of(lines_of(answered.iter_bytes()))
 
     @contextmanager
     def _answered(self, path: str, **arguments: Any) -> Iterator[httpx.Response]:
@@ -99,11 +100,12 @@ class RestTransport:
         try:
             with self._http.client.stream("GET", path, **arguments) as answered:
                 if not answered.is_success:
-                    answered.read()
-                    raise error_of(_details(answered))
+                    raise error_of(_details(read_whole(answered)))
                 yield answered
         except httpx.TransportError as error:
             raise unreachable(self._base_url, error) from error
+        except AnswerTooLarge as error:
+            raise _too_large(error) from error
 
     def corrections(self, request: mapping_pb2.WatchCorrectionsRequest) -> RestCorrectionFeed:
         """See Transport."""
@@ -151,6 +153,8 @@ class RestTransport:
             answer = self._http.request(sent.verb, sent.path, **sent.arguments)
         except httpx.TransportError as error:
             raise unreachable(self._base_url, error) from error
+        except AnswerTooLarge as error:
+            raise _too_large(error) from error
         if answer.is_success:
             return answer
         raise error_of(_details(answer))
@@ -290,6 +294,11 @@ class RestCorrectionFeed:
     def close(self) -> None:
         """See CorrectionFeed."""
         self._closed.set()
+
+
+def _too_large(error: AnswerTooLarge) -> ApiError:
+    """As gRPC's channel refuses a message."""
+    return error_of(ErrorDetails("RESOURCE_EXHAUSTED", "RESOURCE_EXHAUSTED", str(error)))
 
 
 def _details(answer: httpx.Response) -> ErrorDetails:

@@ -187,8 +187,8 @@ class SpoolSender:
                 self.error = error
                 self._leave()
                 return
-            except ValueError:
-                # gRPC's word for a channel that was closed under the call.
+            except Exception:
+                # Of a channel, a client or a spool that was closed while this connects.
                 if not self._closing.is_set():
                     raise
         self._leave()

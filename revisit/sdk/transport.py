@@ -11,6 +11,9 @@ from revisit.sdk.clouds import Cloud
 from revisit.sdk.reading import Json
 from revisit.v1 import event_pb2, loop_closure_pb2, mapping_pb2
 
+MAX_FILE_BYTES = 2**30
+"""Of a file that is downloaded into memory; those of maps go to the disk."""
+
 SILENT_S = 45.0
 """A watch of which nothing was heard for so long is dead: the service gives a sign of life every 15 s."""
 

@@ -10,9 +10,13 @@ from threading import Thread
 import httpx
 import pytest
 
-from revisit.sdk.http_calls import HttpCalls
+from revisit.sdk.errors import ApiError, DataLoss
+from revisit.sdk.http_calls import AnswerTooLarge, HttpCalls, lines_of
+from revisit.sdk.map_downloads import fetch_file
+from revisit.sdk.resources import MapFile
 from revisit.sdk.rest_transport import NO_AUTHORITIES, RestTransport
 from revisit.sdk.retry import RetryPolicy
+from revisit.v1 import map_pb2
 
 TIMEOUT = httpx.Timeout(5.0)
 
@@ -37,7 +41,7 @@ class Echo(BaseHTTPRequestHandler):
         """Note the request and answer it."""
         body = self.rfile.read(int(self.headers.get("content-length", "0")))
         self.sent.append((self.requestline, self.headers.items(), body))
-        answer = gzip.compress(b'{"name": "maps/a"}')
+        answer = gzip.compress(bytes(2**20) if "bomb" in self.path else b'{"name": "maps/a"}')
         self.send_response(404 if "nowhere" in self.path else 200)
         self.send_header("content-encoding", "gzip")
         self.send_header("content-length", str(len(answer)))
@@ -84,6 +88,44 @@ def test_a_refusal_is_an_answer_and_no_service_is_an_error(address):
     with pytest.raises(httpx.ConnectError):
         gone.request("GET", "/")
     gone.close()
+
+
+@pytest.mark.parametrize("base", ["http://{}", "http://me:secret@{}"])
+def test_an_answer_is_read_up_to_a_bound(address, base):
+    calls = HttpCalls(base.format(address.removeprefix("http://")), TIMEOUT, {}, NO_AUTHORITIES)
+    size = len(calls.request("GET", "/bomb").content)
+    assert calls.request("GET", "/bomb", most_bytes=size).is_closed
+    with pytest.raises(AnswerTooLarge):
+        calls.request("GET", "/bomb", most_bytes=size - 1)
+    assert calls.request("GET", "/").status_code == 200
+    calls.close()
+
+
+def test_an_answer_beyond_the_bound_is_an_error_that_is_not_repeated(address, monkeypatch):
+    monkeypatch.setattr("revisit.sdk.http_calls.HttpCalls.request.__kwdefaults__", {**KINDS, "most_bytes": 1000})
+    Echo.sent.clear()
+    transport = RestTransport(f"{address}/bomb", RetryPolicy(attempts=3, base_s=0.0))
+    with pytest.raises(ApiError, match="more than 1000 bytes") as refused:
+        transport.call("GetMap", map_pb2.GetMapRequest(name="maps/a"))
+    assert (refused.value.code, len(Echo.sent)) == ("RESOURCE_EXHAUSTED", 1)
+    transport.close()
+
+
+KINDS = HttpCalls.request.__kwdefaults__ or {}
+
+
+def test_lines_come_as_they_are_complete_and_none_without_end():
+    assert list(lines_of([b"a\r\nb", b"c\n", b"\n", b"rest"])) == ["a", "bc", ""]
+    with pytest.raises(AnswerTooLarge):
+        list(lines_of(bytes(2**16) for _ in range(20)))
+
+
+def test_a_map_file_that_does_not_end_is_not_written_to_the_disk(tmp_path):
+    file = MapFile(name="maps/a/files/1", map_hash="0" * 64, size_bytes=1000)
+    came = iter(bytes(300) for _ in range(10**6))
+    with pytest.raises(DataLoss):
+        fetch_file(file, tmp_path / "a", lambda *_: came, RetryPolicy(attempts=1))
+    assert (next(came), list(tmp_path.iterdir())) == (bytes(300), [])
 
 
 def test_a_client_of_an_address_without_tls_reads_no_authorities(address, monkeypatch):

@@ -17,7 +17,9 @@ import pytest
 from revisit.core.scan_marks import ScanMarks
 from revisit.sdk import spool as spool_module
 from revisit.sdk.clouds import Cloud
+from revisit.sdk.retry import RetryPolicy
 from revisit.sdk.spool import Spool, SpoolDisagrees, SpoolFull, SpoolUnusable
+from revisit.sdk.spooled_stream import SpoolSender
 
 ROOT = Path(__file__).resolve().parents[3]
 POSE = {"translation": {"x": 1.0, "y": 0.0, "z": 0.0}, "rotation": {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0}}
@@ -265,3 +267,24 @@ def test_a_spool_of_the_first_format_is_read_and_its_scans_know_no_way(path):
     assert scan is not None and (scan.stamp_ns, scan.travelled_m) == (5, None)
     assert (spool.way, spool.marks, spool.resume_point()) == (None, None, ("", 2))
     spool.close()
+
+
+@pytest.mark.parametrize("error", [RuntimeError("the client has been closed"), ValueError("closed channel")])
+def test_a_stream_that_is_closed_while_it_connects_ends_in_silence(path, monkeypatch, error):
+    raised, connects, closed = [], threading.Event(), threading.Event()
+    monkeypatch.setattr(threading, "excepthook", raised.append)
+
+    class Closing:
+        def open_stream(self, *_):
+            connects.set()
+            assert closed.wait(10)
+            raise error
+
+    monkeypatch.setattr("revisit.sdk.spooled_stream.CLOSE_S", 0.0)
+    with closing(Spool(path, MONDAY)) as spool:
+        sender = SpoolSender(Closing(), MONDAY, spool, RetryPolicy())
+        assert connects.wait(10)
+        sender.close()
+    closed.set()
+    sender._thread.join(10)
+    assert not sender._thread.is_alive() and raised == [] and sender.error is None
