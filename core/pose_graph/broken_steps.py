@@ -30,9 +30,9 @@ Array64 = NDArray[np.float64]
 BROKEN = 40.0
 """Squared Mahalanobis distance of a step that is broken: chi-square with 6 degrees of freedom, one in two millions."""
 
-IN_A_ROW, BENT = 5, 75.0
-"""Steps that share out a broken one where no loop is, and their squared distances together: chi-square with 30 degrees
-of freedom, one in a hundred thousand.
+BENT = 75.0
+"""Squared distances of IN_A_ROW steps together, which share out a broken one where no loop is: chi-square with 30
+degrees of freedom, one in a hundred thousand.
 """
 
 BENT_BETWEEN = 30.0
@@ -128,14 +128,9 @@ def is_bent(graph: PoseGraph, kept: Collection[int], T_map_submap: dict[str, Arr
     steps = Edges.of_steps(tracks, rows)
     if not len(steps):
         return False
-    errors = steps.squared_errors(np.concatenate([T_map_submap[one.session] for one in tracks]))
-    if (np.convolve(errors, np.ones(IN_A_ROW)) > BENT).any():
-        return True
-    held = np.zeros(len(rows), bool)
-    held[[rows[Node(one.session, 0)] for one in tracks]] = True
-    held[[rows[node] for n in kept for node in (graph.loops[n].match, graph.loops[n].query)]] = True
-    stretch = np.cumsum(held)[steps.first]
-    return bool((np.bincount(stretch, errors) > BENT_BETWEEN).any())
+    loops = Edges.of_loops([graph.loops[n] for n in sorted(kept)], rows)
+    in_a_row, between = Kept(steps, loops, np.concatenate([T_map_submap[one.session] for one in tracks])).bends()
+    return bool((in_a_row > BENT).any() or (between > BENT_BETWEEN).any())
 
 
 @dataclass(frozen=True)

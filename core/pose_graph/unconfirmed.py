@@ -1,8 +1,9 @@
 """Steps that may be broken, and loops that such steps may explain: all others the loops in the map speak against.
 
-A step is confirmed where loops in the map close a circle over it and neither it nor the steps beside it are bent. A
-loop that is far off, and whose ends only confirmed steps and loops in the map join, no broken step explains: a place
-that is taken for another one, mostly. Thousands of those would make the search for broken steps dense and endless.
+A step is confirmed where loops in the map close a circle over it and neither it nor the steps beside it are bent, nor
+all from one submap at which such a loop ends to the next. A loop that is far off, and whose ends only confirmed steps
+and loops in the map join, no broken step explains: a place that is taken for another one, mostly. Thousands of those
+would make the search for broken steps dense and endless.
 """
 
 from __future__ import annotations
@@ -21,8 +22,9 @@ Rows = NDArray[np.int64]
 Flags = NDArray[np.bool_]
 
 IN_A_ROW, LOOKS_BENT = 5, 15.0
-"""Steps in a row and their squared distances together, from which on they may be bent. Where loops are set aside for a
-bend, each step of it that two sessions share costs about as much as a loop, 11 for either: this is a quarter of it.
+"""Steps in a row, or all from one loop to the next, and their squared distances together, from which on they may be
+bent. Where loops are set aside for a bend, each step of it that two sessions share costs about as much as a loop, 11
+for either: this is a quarter of it. Of a long bend each costs less; all of them are between two loops that are kept.
 """
 
 BESIDE = 10
@@ -42,10 +44,21 @@ class Kept:
 
     def unconfirmed(self) -> Flags:
         """Which steps (s,) may be broken: those beside bent ones, and those that no circle of the map leads over."""
-        errors = self.steps.squared_errors(self.poses)
-        bent = np.convolve(errors, np.ones(IN_A_ROW)) > LOOKS_BENT
-        near = np.convolve(bent, np.ones(IN_A_ROW + 2 * BESIDE))[IN_A_ROW + BESIDE - 1 :][: len(errors)] > 0.5
+        in_a_row, between = self.bends()
+        bent = np.convolve(in_a_row > LOOKS_BENT, np.ones(IN_A_ROW))[IN_A_ROW - 1 :][: len(between)] > 0.5
+        near = np.convolve(bent | (between > LOOKS_BENT), np.ones(1 + 2 * BESIDE))[BESIDE:][: len(bent)] > 0.5
         return np.asarray(near | bridges(self._ends(), len(self.poses))[: len(self.steps)])
+
+    def bends(self) -> tuple[Array64, Array64]:
+        """Squared distances of steps together: of IN_A_ROW that end at each of them, or begin at one (s + 4,), and of
+        all with each of them between submaps at which loops end (s,).
+        """
+        errors = self.steps.squared_errors(self.poses)
+        held = np.ones(len(self.poses), dtype=bool)
+        held[self.steps.second] = False
+        held[self.loops.first] = held[self.loops.second] = True
+        stretch = np.cumsum(held)[self.steps.first]
+        return np.convolve(errors, np.ones(IN_A_ROW)), np.bincount(stretch, errors)[stretch]
 
     def may_hold(self, others: Edges) -> Flags:
         """Which of `others` (l,) may be right: where unconfirmed steps are broken, or without that."""

@@ -108,6 +108,31 @@ def test_a_fault_of_odometry_is_named_and_costs_no_loop_and_no_metre(name: str) 
     assert (fault.first, fault.last) == ((0, SUBMAPS - 1) if steady else (AT - 1, AT))
 
 
+def test_a_slip_that_many_steps_share_among_them_is_found_between_drives_of_lengths_that_differ() -> None:
+    """By 2 %, less than a fault: loops of 15 submaps are set aside, along which each step errs as it states."""
+    poses = winding_way(60)
+
+    def slipping(number: int, motion: np.ndarray) -> np.ndarray:
+        return scaled(1.01)(number, motion) @ se3.from_yaw(0.0, (-5.0 if number == 30 else 0.0, 0.0, 0.0))
+
+    drives = [odometry("a", poses, 1, scaled(0.99)), odometry("b", poses, 2, slipping)]
+    answer = optimise(PoseGraph.of(drives, loops(poses, 0)))
+    (fault,) = answer.faults
+    assert (fault.session, fault.kind, fault.first, fault.last) == ("b", FaultKind.SLIP, 29, 30)
+    assert set(answer.loops) == {GraphState.IN_MAP}
+    assert apart_m(answer) < 0.2
+
+
+def test_two_faults_of_one_drive_are_both_told() -> None:
+    poses = winding_way(60)
+    changes = {20: se3.from_yaw(0.0, (-4.0, 0.0, 0.0)), 40: se3.from_yaw(np.radians(15.0))}
+    wrong = odometry("b", poses, 2, lambda number, motion: motion @ changes.get(number, np.eye(4)))
+    answer = optimise(PoseGraph.of([odometry("a", poses, 1), wrong], loops(poses)))
+    told = {(one.kind, one.first, one.last, one.undecided) for one in answer.faults}
+    assert told == {(FaultKind.SLIP, 19, 20, True), (FaultKind.TURN, 39, 40, True)}
+    assert answer.otherwise is not None and apart_m(answer.otherwise) < 0.2
+
+
 @pytest.mark.parametrize(
     "name", ["a turn of 20 degrees", "a tilt of 6 degrees", "a slope of 5 %", "a heading of 0.1 degrees a metre"]
 )
