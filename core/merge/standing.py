@@ -74,7 +74,7 @@ def _gone(visits: Sequence[Visit]) -> NDArray[np.bool_]:
     rows = np.flatnonzero(gone_by >= 0)
     things = thing_of_many(seen.points[rows], visits[0].resolution_m, visits[0].scale)
     gone_by[rows[things < 0]] = -1
-    return (gone_by >= 0) | _at_its_foot(seen, gone_by)
+    return (gone_by >= 0) | _above(seen, gone_by, rows, things) | _at_its_foot(seen, gone_by)
 
 
 def _looked_through_by(seen: _Seen) -> Rows:
@@ -88,6 +88,38 @@ def _looked_through_by(seen: _Seen) -> Rows:
         gone_by[others[visit.looked_through(seen.points[others], seen.stamps_ns[others])]] = number
         open_rows = unseen[gone_by[unseen] < 0]
     return gone_by
+
+
+def _above(seen: _Seen, gone_by: Rows, rows: Rows, things: Rows) -> NDArray[np.bool_]:
+    """Which points (n,) were the upper part of one of the `things`, of which the points in `rows` have gone.
+
+    Above a sensor rays meet nothing behind a thing, so that nobody looks through it. Such a point stood over what has
+    gone, no higher above it than that is high, was connected with it, and no visit has seen it since.
+    """
+    above, edge_m = np.zeros(len(seen.points), dtype=bool), seen.visits[0].resolution_m
+    rows, things = rows[things >= 0], things[things >= 0]
+    if not len(rows):
+        return above
+    others = np.flatnonzero((gone_by < 0) & (seen.points[:, 2] >= seen.points[rows, 2].min()))
+    ground = seen.points * (1.0, 1.0, 0.0)
+    others = others[_may_be_near(ground[others], ground[rows], edge_m)]
+    for thing in range(things.max() + 1):
+        its = rows[things == thing]
+        low, high, since = seen.points[its].min(axis=0), seen.points[its].max(axis=0), gone_by[its].max()
+        least, most = low - (0.5 * edge_m, 0.5 * edge_m, 0.0), high + (0.5 * edge_m, 0.5 * edge_m, high[2] - low[2])
+        is_over = ((seen.points[others] >= least) & (seen.points[others] <= most)).all(axis=1)
+        some = _unseen_since(seen, others[is_over], since)
+        joined = thing_of_many(seen.points[np.concatenate([some, its])], edge_m, seen.visits[0].scale)
+        above[some[np.isin(joined[: len(some)], joined[len(some) :])]] = True
+    return above
+
+
+def _unseen_since(seen: _Seen, rows: Rows, number: int) -> Rows:
+    """Those of the points in `rows` that a visit of this number, and later ones, did not see; its own are none."""
+    rows = rows[(seen.visit[rows] < number) & (seen.session[rows] != seen.visits[number].session)]
+    for visit in seen.visits[number:]:
+        rows = rows[~visit.has(seen.points[rows])]
+    return rows
 
 
 def _may_be_near(points: NDArray[np.float64], some: NDArray[np.float64], reach_m: float) -> NDArray[np.bool_]:

@@ -59,6 +59,36 @@ def test_few_points_that_were_looked_through_are_noise():
     assert standing([noisy, seen(2)])[0].all()
 
 
+def with_points(one, points):
+    """The same submap, which saw these points (n, 3), too."""
+    more = np.concatenate([one.neural_map.points.positions, np.asarray(points, np.float32)])
+    normals = np.tile(np.float32([0.0, 0.0, 1.0]), (len(more), 1))
+    known = NeuralPoints.remembered(more, normals, np.full(len(more), 3, np.int32), 3)
+    its = NeuralMap.of_planes(known, np.arange(3), ImplicitMapConfig())
+    return PlacedMap(its, one.T_map_submap, one.session, one.stamp_ns)
+
+
+def above_wall(low_m, high_m):
+    """Points (n, 3) above the wall from one height to another; from 1.5 m on no house is behind them."""
+    x, z = np.meshgrid(np.arange(-1.2, 1.3, 0.2), np.arange(low_m, high_m, 0.2))
+    return np.stack([WALL[0] + x.ravel(), np.full(x.size, WALL[1]), z.ravel()], axis=1)
+
+
+def test_the_top_of_a_thing_that_has_gone_goes_with_it_though_rays_above_meet_nothing():
+    top = above_wall(0.3, 2.3)
+    first = with_points(seen(1, WALL), top)
+    assert not standing([first, seen(2)])[0][-len(top) :].any()
+    assert standing([first, with_points(seen(2), top)])[0][-len(top) :].all()  # a roof that is still there
+
+
+def test_what_hangs_above_a_thing_that_has_gone_or_towers_above_it_stays():
+    hanging, tower = above_wall(2.5, 3.0), above_wall(0.3, 7.0)
+    for points, high in ((hanging, hanging), (tower, tower[tower[:, 2] > 5.0])):
+        order = np.argsort(points[:, 2])
+        first = with_points(seen(1, WALL), points[order])
+        assert standing([first, seen(2)])[0][-len(high) :].all()
+
+
 def test_the_tile_of_now_lacks_the_wall_and_that_of_ever_has_it():
     maps = [seen(1, WALL), seen(2)]
     undated = [PlacedMap(one.neural_map, one.T_map_submap) for one in maps]
