@@ -7,8 +7,10 @@ import hashlib
 import pytest
 
 from revisit.core.errors import DataLoss
+from revisit.service.domain.errors import StorageUncertain
 from revisit.service.domain.identity import TenantId
-from revisit.service.engines.local.files.blobs import FileBlobStore
+from revisit.service.engines.local.files import blobs as files
+from revisit.service.engines.local.files.blobs import FileBlobStore, blob_path
 from revisit.service.engines.s3.blobs import S3BlobStore
 from revisit.service.ports.blobs import StoredBlob
 from tests.support.memory.blobs import MemoryBlobStore
@@ -95,3 +97,31 @@ def test_a_failed_write_leaves_nothing_behind(tmp_path, monkeypatch):
         blobs.put(TENANT, "cloud", b"points")
     assert refused.value.code == "STORAGE_FULL"
     assert [path for path in tmp_path.rglob("*") if path.is_file()] == []
+
+
+def test_a_folder_goes_with_its_last_blob(tmp_path):
+    store = FileBlobStore(tmp_path)
+    kept = [StoredBlob(TENANT, "cloud", store.put(TENANT, "cloud", bytes([n]))) for n in range(40)]
+    folders = {blob_path(tmp_path, one).parent for one in kept}
+    store.delete(kept[1:])
+    left = {folder for folder in folders if folder.exists()}
+    assert left == {blob_path(tmp_path, kept[0]).parent} and len(folders) > 30
+    assert store.get(TENANT, "cloud", kept[0].sha256) == bytes([0])
+    assert [one.sha256 for one in store.stored(-1.0)] == [kept[0].sha256]
+
+
+def test_a_blob_is_kept_whose_folder_went_while_it_was_written(tmp_path, monkeypatch):
+    store, made, make_directories = FileBlobStore(tmp_path), [], files.make_directories
+
+    def emptied(path, root):
+        make_directories(path, root)
+        made.append(path)
+        if len(made) < 3:
+            path.rmdir()  # by another process, which deletes the last blob in it
+
+    monkeypatch.setattr(files, "make_directories", emptied)
+    sha256 = store.put(TENANT, "cloud", b"new")
+    assert store.get(TENANT, "cloud", sha256) == b"new" and len(made) == 3
+    monkeypatch.setattr(files, "make_directories", lambda path, root: None)
+    with pytest.raises(StorageUncertain):
+        FileBlobStore(tmp_path / "other").put(TENANT, "cloud", b"never")

@@ -8,7 +8,7 @@ import hashlib
 import os
 import time
 from collections.abc import Callable, Collection, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import structlog
@@ -39,6 +39,9 @@ from revisit.service.ports.blobs import StoredBlob
 BLOCK_BYTES = 512
 """The unit of `st_blocks`, whatever a file system's own blocks are."""
 
+PUT_TRIES = 5
+"""A folder is rarely left empty in the moment in which a blob is written into it."""
+
 log = structlog.get_logger(__name__)
 
 
@@ -65,13 +68,23 @@ class FileBlobStore:
         path = self._path(tenant, kind, sha256)
         self._fail_stop.require_sound()
         with self._translated():
-            if path.exists() and path.stat().st_size == len(data):
-                # Another writer may have renamed it a moment ago, its directory not synced yet.
-                sync_directory(path.parent)
-                return sha256
-            make_directories(path.parent, self._root)
-            durable_write(path, data)
+            for left in reversed(range(PUT_TRIES)):
+                try:
+                    self._keep(path, data)
+                    break
+                except FileNotFoundError:  # a deletion took the last blob of the folder, and the folder with it
+                    if not left:
+                        raise
         return sha256
+
+    def _keep(self, path: Path, data: bytes) -> None:
+        """Make a file hold data, durably. Raises OSError; FileNotFoundError where its folder went meanwhile."""
+        if path.exists() and path.stat().st_size == len(data):
+            # Another writer may have renamed it a moment ago, its directory not synced yet.
+            sync_directory(path.parent)
+            return
+        make_directories(path.parent, self._root)
+        durable_write(path, data)
 
     def get(self, tenant: TenantId, kind: str, sha256: str) -> bytes:
         """See `BlobStore`."""
@@ -94,15 +107,19 @@ class FileBlobStore:
             return 0
 
     def delete(self, blobs: Collection[StoredBlob]) -> None:
-        """See `BlobStore`. While a backup runs the files stay; the next sweep deletes them."""
+        """See `BlobStore`. While a backup runs the files stay; the next sweep deletes them. Empty folders go, too."""
         with deleting(self._root) as may_delete:
-            for blob in blobs if may_delete else ():
-                blob_path(self._root, blob).unlink(missing_ok=True)
+            paths = [blob_path(self._root, blob) for blob in blobs if may_delete]
+            for path in paths:
+                path.unlink(missing_ok=True)
+            for folder in {path.parent for path in paths}:
+                with suppress(OSError):  # others are in it, or it has gone
+                    folder.rmdir()
 
     def stored(self, older_than_s: float) -> Iterator[StoredBlob]:
         """See `BlobStore`. Deletes the temporary files of interrupted writes that it meets."""
         latest = time.time() - older_than_s
-        for path in self._root.glob("*/*/??/*"):
+        for path in self._files():
             try:
                 if path.stat().st_mtime > latest:
                     continue
@@ -113,6 +130,12 @@ class FileBlobStore:
             else:
                 tenant, kind, _, sha256 = path.relative_to(self._root).parts
                 yield StoredBlob(TenantId(tenant), kind, sha256)
+
+    def _files(self) -> Iterator[Path]:
+        """The files of all folders; those that go with their last blob meanwhile have none."""
+        for folder in self._root.glob("*/*/??"):
+            with suppress(FileNotFoundError, NotADirectoryError):
+                yield from list(folder.iterdir())
 
     def quarantined(self) -> int:
         """See `BlobStore`."""
