@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import sys
 
 import laspy
@@ -16,6 +17,7 @@ from revisit.cli.map_files import MergedCloud, PlacedSubmap
 from revisit.core.errors import BadField
 from revisit.core.geometry import geodesy, se3
 from revisit.sdk.earth import OnEarth
+from revisit.sdk.resources import MapChange
 
 pytest.importorskip("pyproj", reason="in the extra `crs`")
 
@@ -50,6 +52,25 @@ def test_a_pose_of_the_map_has_a_place_and_a_heading_on_earth(latitude_deg):
     assert at.heading_deg == pytest.approx(30.0, abs=0.02), "the meridians of 300 m are not parallel"
     where = np.array([[at.latitude_deg, at.longitude_deg, at.altitude_m]])
     assert geodesy.enu((latitude_deg, 11.5, 520.0), where)[0] == pytest.approx([300.0, -120.0, 4.0], abs=1e-3)
+
+
+def test_a_drive_and_a_change_that_cross_the_date_line_are_cut_there():
+    earth = OnEarth((-17.0, 179.9999, 10.0), np.eye(4))
+    drive = [
+        PlacedSubmap(f"maps/m/sessions/s/submaps/{n}", n, se3.from_yaw(0.0, (x_m, 2.0, 0.0)))
+        for n, x_m in enumerate((0.0, 8.0, 16.0, 5.0))
+    ]
+    (line,) = json.loads(earths.as_geojson(drive, earth))["features"]
+    parts = line["geometry"]["coordinates"]
+    assert line["geometry"]["type"] == "MultiLineString" and [len(part) for part in parts] == [3, 3, 2]
+    assert [np.sign([at[0] for at in part]).tolist() for part in parts] == [[1.0] * 3, [-1.0] * 3, [1.0] * 2]
+    assert [abs(parts[0][-1][0]), abs(parts[1][0][0])] == [180.0, 180.0]
+    change = MapChange(kind="APPEARED", frame="f", centre_m=(10.0, 0.0, 0.0), extent_m=(8.0, 4.0, 2.0))
+    (box,) = earths.changes_as_geojson([change], {"f": earth})["features"]
+    rings = [np.array(part[0]) for part in box["geometry"]["coordinates"]]
+    assert box["geometry"]["type"] == "MultiPolygon" and all((ring[0] == ring[-1]).all() for ring in rings)
+    wide = [np.ptp(ring[:, 0]) * 111_320 * np.cos(np.radians(17.0)) for ring in rings]
+    assert sum(wide) == pytest.approx(8.0, abs=0.05)
 
 
 def test_north_is_0_degrees_also_where_numbers_round():
