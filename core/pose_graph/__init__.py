@@ -7,6 +7,7 @@ consistency    sets of loops between two sessions that agree with each other
 support        loops within a session that its odometry allows and that others support
 placement      where sessions lie to each other before optimisation
 least_squares  Levenberg and Marquardt, graduated non-convexity
+jumps          odometry that begins anew, by its times
 heading_bias   odometry whose heading turns steadily, by loops within its session
 steady_faults  scale, slope and heading of odometry, by loops with other sessions
 unconfirmed    steps that may be broken, and loops that these may explain, by the loops in the map

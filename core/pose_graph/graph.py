@@ -121,7 +121,8 @@ class Trajectory:
 
     T_odom_submap (n, 4, 4); step_covariances (n - 1, 6, 6) of the motion from each submap to the next, of the tangent
     (x, y, z, rx, ry, rz) in the frame of the later one, metres and radians. odometry: the model that these are by, if
-    any; mended: the submaps from which and up to which steps are not as odometry had them.
+    any; mended: the submaps from which and up to which steps are not as odometry had them; jumps: the submaps behind
+    which it is known to jump (see `jumps`).
     """
 
     session: str
@@ -129,6 +130,7 @@ class Trajectory:
     step_covariances: Array64
     odometry: OdometryModel | None = None
     mended: tuple[tuple[int, int], ...] = ()
+    jumps: tuple[int, ...] = ()
 
     @classmethod
     def from_odometry(cls, session: str, T_odom_submap: Array64, model: OdometryModel = OdometryModel()) -> Trajectory:

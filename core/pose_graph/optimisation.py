@@ -20,6 +20,7 @@ from revisit.core.pose_graph.graph import GraphState, Node, PoseGraph, Trajector
 from revisit.core.pose_graph.grounding import Grounding, Solution
 from revisit.core.pose_graph.heading_bias import straightened
 from revisit.core.pose_graph.held_component import HeldComponent
+from revisit.core.pose_graph.jumps import without_jumps
 from revisit.core.pose_graph.least_squares import ROUGHLY, Kernel, cauchy, graduated, huber, minimise, settled
 from revisit.core.pose_graph.normal_equations import Edges, Factorisation
 from revisit.core.pose_graph.odometry_weights import by_weighed_odometry
@@ -157,10 +158,12 @@ def by_loops(
     """
     if robustness not in (Robustness.ONLINE, Robustness.COMMIT):
         return SolvedByLoops(graph, _judged(graph, robustness, progress), may_hold=False)
+    graph, jumped = without_jumps(graph)
     graph = straightened(rescaled(graph, variance_factor(graph)))
     answer, doubtful = _judged(graph, robustness, progress), list[list[Mending]]()
     if robustness is Robustness.COMMIT:
         graph, answer, doubtful = _without_faults(graph, answer, progress)
+    answer = replace(answer, faults=_in_order([*answer.faults, *jumped]))
     if sum(map(len, graph.trajectories)) > MOST_SOLVED_TWICE:
         told = [one.fault for some in doubtful[:1] for one in some]
         answer = replace(_weighed(graph, answer), faults=_in_order([*answer.faults, *told]))

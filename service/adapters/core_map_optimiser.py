@@ -90,7 +90,10 @@ class NamedGraph:
 
         names = _names(graph.tracks)
         trajectories = [
-            Trajectory.from_odometry(names[track.session_number], track.T_odom_submap, track.odometry)
+            replace(
+                Trajectory.from_odometry(names[track.session_number], track.T_odom_submap, track.odometry),
+                jumps=track.jumps,
+            )
             for track in graph.tracks
         ]
         nodes = {

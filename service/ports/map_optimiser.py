@@ -27,14 +27,15 @@ Progress = Callable[[str, int, int], None]
 
 @dataclass(frozen=True)
 class SessionTrack:
-    """The submaps of a session in the order of their drive, by number, where its odometry saw them (n, 4, 4), and how
-    fast that drifts.
+    """The submaps of a session in the order of their drive, by number, where its odometry saw them (n, 4, 4), how fast
+    that drifts, and the places in that order behind which it jumps.
     """
 
     session_number: int
     submaps: tuple[int, ...]
     T_odom_submap: Array64
     odometry: OdometryModel = OdometryModel()
+    jumps: tuple[int, ...] = ()
 
 
 @dataclass(frozen=True)

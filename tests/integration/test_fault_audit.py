@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import partial
@@ -15,7 +16,7 @@ from revisit.service.domain.identity import SessionKey
 from revisit.service.features.graph.join_audit import FAULT_PAIRS
 from revisit.service.features.resources.paging import PageRequest
 from tests.support.fake_merger import FakeMerger
-from tests.support.fleet_in_service import fleet_in, lengthened_fleet_in, slipped_fleet_in
+from tests.support.fleet_in_service import fleet_in, lengthened_fleet_in, restarted_fleet_in, slipped_fleet_in
 from tests.support.service_world import TENANT, memory_world
 
 MISPLACED = 45
@@ -196,3 +197,21 @@ async def test_a_place_that_looks_like_another_one_is_not_believed_for_a_fault_t
     summary, codes, _, _ = await drives.optimised()
     assert {one["undecided"] for one in summary["odometry_faults"] if one["kind"] != "SCALE"} == {True}
     assert "odometry_undecided" in codes
+
+
+async def test_odometry_that_begins_anew_is_told_and_the_map_is_as_good_as_without_it():
+    world = memory_world()
+    made = restarted_fleet_in(world, "town")
+    await world.use_cases.map_versions.optimise(TENANT, "town")
+    world.work_off()
+    version = await world.use_cases.map_versions.get(TENANT, "town", 1)
+    listed = (await world.use_cases.map_versions.poses(TENANT, "town", 1, PageRequest(500))).items
+    poses = {s: np.stack([one.T_map_submap for one in listed if one.key.session_id == s]) for s in made.fleet.truth}
+    assert made.fleet.error_m(poses) < 0.5
+    assert version.summary["loops_set_aside"] == 0
+    session = await world.use_cases.sessions.get(TENANT, SessionKey("town", "s1"))
+    (told,) = (one for one in session.findings if one.odometry_fault)
+    assert (told.code, told.odometry_fault.first_submap, told.odometry_fault.last_submap) == (
+        "odometry_jump", "maps/town/sessions/s1/submaps/029", "maps/town/sessions/s1/submaps/030"
+    )  # fmt: skip
+    assert re.search("jumped by [0-9]+ m .standard deviation 10., as the time between them says", told.cause)

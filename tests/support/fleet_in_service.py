@@ -98,6 +98,15 @@ def lengthened_fleet_in(world: World, map_id: str, factor: float) -> FleetInServ
     return _faulty_fleet_in(world, map_id, lengthened)
 
 
+def restarted_fleet_in(world: World, map_id: str) -> FleetInService:
+    """Store two drives with right loops all along, of which `s1` begins anew at its submap 30. See `fleet_in`."""
+
+    def restarted(poses: np.ndarray) -> np.ndarray:
+        return np.concatenate([poses[:30], poses[0] @ se3.inverse(poses[30]) @ poses[30:]])
+
+    return _faulty_fleet_in(world, map_id, restarted)
+
+
 def _faulty_fleet_in(
     world: World, map_id: str, wrong: Callable[[np.ndarray], np.ndarray], tenant: TenantId = TENANT, *,
     with_places: bool = False, sessions: int = 2,
@@ -151,6 +160,7 @@ def _store(uow, made: Fleet, map_id: str, tenant: TenantId, blobs: BlobStore | N
                 cloud_sha256=None,
                 T_odom_submap=pose_row(T_odom_submap),
                 position_m=position_row(T_odom_submap[:3, 3]),
+                stamp_ns=5_000_000_000 * (1 + ordinal),
             )
             if blobs is not None:
                 submap = replace(submap, **_described(blobs, tenant, made.truth[trajectory.session][ordinal]))

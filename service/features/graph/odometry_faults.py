@@ -90,11 +90,13 @@ def _view(stored: dict[str, Any], names: dict[int, str]) -> OdometryFaultView:
     first, last = names.get(stored["first_number"]), names.get(stored["last_number"])
     did, unit, cause = (_AT_ONCE | _THROUGHOUT)[kind]
     factor = _FACTORS[unit]
-    amount = f"{abs(factor * stored['amount']):.2g} {unit} (standard deviation {factor * stored['sigma']:.1g})"
+    amount, sigma = _rounded(abs(factor * stored["amount"]), 2), _rounded(factor * stored["sigma"], 1)
+    amount = f"{amount} {unit} (standard deviation {sigma})"
     is_placed = kind in _AT_ONCE and first is not None and last is not None
     where = f"between submaps {_last(first)} and {_last(last)} " if is_placed else ""
     undecided = bool(stored.get("undecided"))
-    said = f"{where}its odometry {did.format(amount)}, as {stored['loops']} loops say: {cause}"
+    telling = f"{stored['loops']} loops say" if stored["loops"] else "the time between them says"
+    said = f"{where}its odometry {did.format(amount)}, as {telling}: {cause}"
     return OdometryFaultView(
         session=stored["session"],
         kind=kind,
@@ -107,6 +109,11 @@ def _view(stored: dict[str, Any], names: dict[int, str]) -> OdometryFaultView:
         message=f"{said}{_UNDECIDED}" if undecided else said,
         undecided=undecided,
     )
+
+
+def _rounded(value: float, digits: int) -> str:
+    """A value to so many digits, without an exponent."""
+    return f"{float(f'{value:.{digits}g}'):g}"
 
 
 def _last(name: str | None) -> str:

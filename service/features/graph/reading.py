@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from revisit.core.geometry.se3 import pose_matrix
 from revisit.core.pose_graph.graph import OdometryModel
+from revisit.core.pose_graph.jumps import jumps
 from revisit.service.domain.identity import SessionKey, TenantId
 from revisit.service.domain.policy import Policy
 from revisit.service.domain.records import AnchorRecord, LoopRecord, MapRecord, SessionPosesRecord, SessionRecord
@@ -98,7 +99,8 @@ def _tracks(placed: Iterable[PlacedSubmap], sessions: Mapping[int, SessionRecord
         drive = list(of_session)
         poses = np.stack([pose_matrix(one.T_odom_submap) for one in drive])
         odometry = OdometryModel.stated(sessions[number].drift)
-        tracks.append(SessionTrack(number, tuple(one.number for one in drive), poses, odometry))
+        jumping = jumps(poses, np.array([one.stamp_ns for one in drive], dtype=np.int64))
+        tracks.append(SessionTrack(number, tuple(one.number for one in drive), poses, odometry, jumping))
     return tuple(tracks)
 
 
