@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Container, Sequence
+from collections.abc import Callable, Container, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -117,23 +117,30 @@ def merged_cloud(
     Those of the scans; of the surface where retention has removed these.
     """
     several = not ever and len({one.session for one in placed}) > 1
-    surfaces = _surfaces(http, placed, report) if several or not all(one.has_scans for one in placed) else None
-    stands = surfaces.standing() if surfaces and several else [None] * len(placed)
+    needed = {row: number for number, row in enumerate(_needed(placed, several))}
+    surfaces = _surfaces(http, [placed[row] for row in needed], report) if needed else None
+    stands = surfaces.standing() if surfaces and several else [None] * len(needed)
     parts = [MergedCloud(np.zeros((0, 3)), None)]
     with Client(http) as client:
         for row, one in enumerate(placed):
-            if surfaces and not one.has_scans:
-                cloud = MergedCloud(surfaces.points(row, stands[row]), None)
+            number = needed.get(row)
+            if surfaces and number is not None and not one.has_scans:
+                cloud = MergedCloud(surfaces.points(number, stands[number]), None)
             else:
                 read = npy.decode(client.download(one.name, "npy"), DEFAULT_LIMITS)
                 cloud = MergedCloud(read.points.astype(np.float64), read.intensity)
-                if surfaces:
-                    cloud = cloud.at(np.flatnonzero(~surfaces.gone(row, stands[row], cloud.points)))
+                if surfaces and number is not None:
+                    cloud = cloud.at(np.flatnonzero(~surfaces.gone(number, stands[number], cloud.points)))
             points = cloud.points @ one.T_map_submap[:3, :3].T + one.T_map_submap[:3, 3]
             parts.append(MergedCloud(points, cloud.intensity).at(thinned(points)))
             report("clouds", row + 1, len(placed))
     whole = _joined(parts)
     return whole.at(thinned(whole.points))
+
+
+def _needed(placed: Sequence[PlacedSubmap], several: bool) -> Iterator[int]:
+    """The rows of those whose neural maps a cloud needs: all where drives are compared, else those without scans."""
+    return (row for row, one in enumerate(placed) if several or not one.has_scans)
 
 
 def _surfaces(http: str, placed: Sequence[PlacedSubmap], report: Callable[[str, int, int], None]) -> Surfaces:

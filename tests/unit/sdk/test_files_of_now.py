@@ -56,6 +56,15 @@ def test_of_one_drive_no_neural_map_is_read_for_a_cloud(two_days):
     assert walls(cloud) > 0 and {kind for _, kind in asked} == {"npy"}
 
 
+def test_where_no_drives_are_compared_the_neural_maps_of_those_without_scans_alone_are_read(two_days):
+    (before, after), asked = two_days
+    both = merged_cloud("", [after, before], lambda *_: None, ever=True).points
+    asked.clear()
+    cloud = merged_cloud("", [after, replace(before, has_scans=False)], lambda *_: None, ever=True).points
+    assert sorted(asked) == sorted([(after.name, "npy"), (before.name, "neural")])
+    assert walls(cloud) > 20 and walls(both) > 20
+
+
 def test_a_submap_whose_scans_are_gone_has_the_points_of_its_surface_and_tells_what_is_gone(two_days):
     (before, after), asked = two_days
     before, after = replace(before, has_scans=False), replace(after, has_scans=False)
