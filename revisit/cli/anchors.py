@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -65,6 +66,8 @@ def preview(
     emit_table("Would be", COLUMNS, [_row(one) for one in told["anchors"]])
     if told.get("others"):
         emit_table("Others that would change", COLUMNS, [_row(one) for one in told["others"]])
+    for frame in told.get("georeferences", ()):
+        _say_sessions(frame.get("sessions", ()))
     if "max_change_m" in told:
         say(f"Submaps would move by {told['mean_change_m']:.2f} m on average, {told['max_change_m']:.2f} m at most.")
 
@@ -82,6 +85,7 @@ def list_anchors(
     with Client(http) as client:
         sessions = [session_name(map_id, session_id)] if session_id else client.sessions.list(f"maps/{map_id}")
         found: list[Anchor] = [one for session in sessions for one in client.sessions.anchors(session)]
+        versions = [] if json else [one for one in client.versions.list(f"maps/{map_id}") if one.in_force]
     if json:
         emit_json([asdict(one) for one in found])
         return
@@ -91,6 +95,9 @@ def list_anchors(
         ("kind", *COLUMNS),
         [_listed(one) for one in found],
     )
+    names = {one if isinstance(one, str) else one.name for one in sessions}
+    for frame in (frame for one in versions for frame in one.summary.georeferences):
+        _say_sessions([vars(one) for one in frame.sessions if one.session in names])
 
 
 @group.command("remove")
@@ -114,6 +121,23 @@ def remove(
         for name in names:
             client.sessions.delete_anchor(name)
     say(f"{session} has lost {counted(len(names), 'anchor')}.")
+
+
+def _say_sessions(sessions: Iterable[Mapping[str, Any]]) -> None:
+    """Name the sessions whose anchors are not as they state."""
+    for one in sessions:
+        say(anchors_of_session(one))
+
+
+def anchors_of_session(one: Mapping[str, Any]) -> str:
+    """The fields of an AnchoredSession in words."""
+    east, north, up = one["offset_m"]
+    session, off = one["session"].rpartition("/")[2], f"{east:+.1f} m east, {north:+.1f} m north, {up:+.1f} m up"
+    if one["elsewhere"]:
+        return f"All anchors of {session} lie elsewhere, {off}: a wrong base station, or heights above the sea?"
+    if one["sigma_factor"] > 1.0:
+        return f"Anchors of {session} err by {one['sigma_factor']:.0f} times their stated standard deviations."
+    return f"Anchors of {session} lie beside the map, {off}: another receiver contradicts them."
 
 
 COLUMNS = ("anchor", "session", "state", "off m", "reason")
