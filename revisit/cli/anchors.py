@@ -134,7 +134,8 @@ def anchors_of_session(one: Mapping[str, Any]) -> str:
     east, north, up = one["offset_m"]
     session, off = one["session"].rpartition("/")[2], f"{east:+.1f} m east, {north:+.1f} m north, {up:+.1f} m up"
     if one["elsewhere"]:
-        return f"All anchors of {session} lie elsewhere, {off}: a wrong base station, or heights above the sea?"
+        why = "a wrong base station, heights above the sea, or loops with a twin of its place?"
+        return f"All anchors of {session} lie elsewhere, {off}: {why}"
     if one["sigma_factor"] > 1.0:
         return f"Anchors of {session} err by {one['sigma_factor']:.0f} times their stated standard deviations."
     return f"Anchors of {session} lie beside the map, {off}: another receiver contradicts them."

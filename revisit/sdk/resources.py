@@ -85,7 +85,9 @@ class AnchoredSession(Resource):
     sigma_factor: float = 0.0
     """Their standard deviations were taken as so many times the stated ones; 1 as they are."""
     elsewhere: bool = False
-    """They contradict the map as a whole: a wrong base station, heights above the sea instead of the ellipsoid."""
+    """They contradict the map as a whole: a wrong base station, heights above the sea instead of the ellipsoid, or
+    loops of the session with a place that only looks the same.
+    """
 
 
 @dataclass(frozen=True, kw_only=True)

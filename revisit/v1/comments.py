@@ -34,7 +34,7 @@ COMMENTS = {
     'revisit.v1.AnchorService.PreviewAnchors': 'What anchors of a session would do to the map, beside those that it has: an operation that keeps nothing. Its result tells the verdict on each, which others it would change, where frames lie on earth, and how far submaps would move.',
     'revisit.v1.AnchoredSession': 'The anchors of a session that are less sure than they state, or lie beside the map as a whole by more than one of them is sure.',
     'revisit.v1.AnchoredSession.anchors': 'Its anchors that hold the frame,',
-    'revisit.v1.AnchoredSession.elsewhere': 'They contradict the map as a whole: a wrong base station, heights above the sea instead of the ellipsoid.',
+    'revisit.v1.AnchoredSession.elsewhere': 'They contradict the map as a whole: a wrong base station, heights above the sea instead of the ellipsoid, or loops of the session with a place that only looks the same.',
     'revisit.v1.AnchoredSession.of_anchors': 'of so many.',
     'revisit.v1.AnchoredSession.offset_m': 'The median of their places less where the map has them: east, north and up, metres.',
     'revisit.v1.AnchoredSession.session': 'maps/{map}/sessions/{session}',
