@@ -25,7 +25,7 @@ from revisit.service.features.anchors.rules import AnchorQuestion, DrivePoses, N
 from revisit.service.features.audit import calls as audit
 from revisit.service.features.audit.calls import AuditEntry
 from revisit.service.features.graph.anchor_verdicts import anchor_verdicts, kept_anchors
-from revisit.service.features.graph.anchors import move_origin, origin_by
+from revisit.service.features.graph.anchors import is_another_site, move_origin, origin_by
 from revisit.service.features.graph.edits import note_edit
 from revisit.service.features.graph.posting import optimise_soon
 from revisit.service.features.resources.call_context import CallContext
@@ -120,6 +120,8 @@ class Anchors:
         if origin != of_map.origin:
             uow.maps.replace(replace(of_map, origin=origin))
         stored, added = _stored(uow, session, rows)
+        if is_another_site(origin, rows):
+            move_origin(uow, tenant, key.map_id)
         if added and session.state == SessionState.FINISHED:
             optimise_soon(uow, tenant, key.map_id, self._context.policy, now_ns, decided=True)
         return [AnchorView(row) for row in stored]

@@ -24,6 +24,12 @@ from revisit.service.ports.transactions import UnitOfWork
 
 Array64 = NDArray[np.float64]
 
+ONE_SITE_M = 100_000.0
+"""Anchors of one site are not farther from most of them."""
+
+FIRST_ANCHORS = 200
+"""So many are looked at for an origin: as many as a request has."""
+
 
 def read_anchors(
     uow: UnitOfWork, record: MapRecord, placed: Iterable[PlacedSubmap], more: Sequence[AnchorRecord] = ()
@@ -67,22 +73,40 @@ class SubmapsInTime:
 
 
 def origin_by(record: MapRecord, rows: Iterable[AnchorRecord]) -> tuple[float, float, float] | None:
-    """The origin of a map: its own, else the first place on earth of these anchors of it; None without any."""
-    on_earth = (row.position for row in rows if row.frame == AnchorFrame.WGS84)
-    return next(on_earth, None) if record.origin is None else record.origin
+    """The origin of a map: its own, else the first place on earth of these anchors of it; None without any.
+
+    The first that lies where most do: receivers tell (0, 0) before they have a fix.
+    """
+    if record.origin is not None:
+        return record.origin
+    on_earth = [row.position for row in rows if row.frame == AnchorFrame.WGS84]
+    if not on_earth:
+        return None
+    places = geodesy.ecef(on_earth)
+    near = np.linalg.norm(places - np.median(places, axis=0), axis=1) < ONE_SITE_M
+    return on_earth[int(np.argmax(near)) if 2 * near.sum() > len(near) else 0]
+
+
+def is_another_site(origin: tuple[float, float, float] | None, rows: Iterable[AnchorRecord]) -> bool:
+    """Whether anchors on earth lie so far from an origin that one of both is false."""
+    on_earth = [row.position for row in rows if row.frame == AnchorFrame.WGS84]
+    if origin is None or not on_earth:
+        return False
+    return bool(np.linalg.norm(geodesy.ecef(on_earth) - geodesy.ecef([origin]), axis=1).max() > ONE_SITE_M)
 
 
 def move_origin(uow: UnitOfWork, tenant: TenantId, map_id: str) -> None:
-    """Where the anchor that gave a map its origin is gone, that is the first place on earth which is left, or none.
+    """Where the anchor that gave a map its origin is gone, or no place of the site, the first place on earth left
+    becomes it, or none.
 
     It stays where a version lies on earth by it, or an anchor is measured from it.
     """
     record = require_map(uow, tenant, map_id, hold=True)
     first, local = (
-        uow.anchors.find(tenant, limit=1, map_id=map_id, frame=frame.value)
-        for frame in (AnchorFrame.WGS84, AnchorFrame.LOCAL)
+        uow.anchors.find(tenant, limit=limit, map_id=map_id, frame=frame.value)
+        for frame, limit in ((AnchorFrame.WGS84, FIRST_ANCHORS), (AnchorFrame.LOCAL, 1))
     )
-    origin = first[0].position if first else None
+    origin = origin_by(replace(record, origin=None), first)
     if record.origin in (None, origin) or local:
         return
     if any(GEOREFERENCES in one.summary for one in uow.map_versions.find(tenant, map_id=map_id)):

@@ -109,6 +109,19 @@ def test_a_false_first_fix_is_no_origin_any_more_once_it_is_deleted(client, sess
     assert latitude_deg() is None
 
 
+def test_a_first_fix_that_lies_on_another_continent_than_the_others_is_no_origin(client, session, town):
+    zero = replace(FIX, anchor_id="zero", geodetic=(0.0, 0.0, 0.0))
+    others = [replace(FIX, anchor_id=f"fix-{n}", geodetic=(48.0, 11.0, 500.0 + n)) for n in range(3)]
+    client.sessions.post_anchors(session, [zero])
+    client.sessions.post_anchors(session, others)
+    assert (client.get_map(town).origin.latitude_deg, client.get_map(town).origin.altitude_m) == (48.0, 500.0)
+    town_beside = client.create_map("beside")
+    client.sessions.post_anchors(client.create_session(town_beside, "drive"), [zero, *others])
+    assert client.get_map(town_beside).origin.latitude_deg == 48.0
+    client.sessions.post_anchors(session, [replace(zero, anchor_id="zero-again")])
+    assert client.get_map(town).origin.latitude_deg == 48.0
+
+
 def test_a_preview_of_anchors_is_an_operation_that_keeps_none(client, session):
     asked = client.sessions.preview_anchors(session, [POINT, FIX])
     assert (asked.kind, asked.subject) == ("PREVIEW_ANCHORS", session.name)
