@@ -8,6 +8,7 @@ from pathlib import Path
 
 from revisit.service.composition import build_blobs, build_context
 from revisit.service.domain.processes import ProcessRole
+from revisit.service.engines.findings import examine_rows
 from revisit.service.engines.local.files.disk import durable_write
 from revisit.service.engines.move import Moved, MoveRefused, Told, digest, move_blobs, move_rows, require_empty
 from revisit.service.engines.state import State, state_of
@@ -23,9 +24,9 @@ NOTE = "moving.json"
 def move_installation(source: Settings, target: Settings, told: Told) -> Moved:
     """Copy all rows and blobs, and compare what came; goes on where an earlier move to the same target was broken off.
 
-    The source stays as it is. Raises MoveRefused where a process serves either, the target has rows of its own, or what
-    came differs; HomeTaken; ForeignSchema, UnusableServer; DataLoss for a blob that is lost; StorageFull,
-    StorageUncertain.
+    The source stays as it is. Raises MoveRefused where a process serves either, a row of the source is damaged, the
+    target has rows of its own, or what came differs; HomeTaken; ForeignSchema, UnusableServer; DataLoss for a blob that
+    is lost; StorageFull, StorageUncertain.
     """
     states = [state_of(one.home, one.database_url) for one in (source, target)]
     if not states[0].is_made():
@@ -36,6 +37,8 @@ def move_installation(source: Settings, target: Settings, told: Told) -> Moved:
             held.enter_context(state.sole_gateway())
             state.migrate()
             _require_unused(settings, state)
+        if damaged := states[0].damaged_rows():
+            raise MoveRefused(f"{examine_rows(damaged).detail}: they would be taken for whole there; restore a backup")
         rows, there = (held.enter_context(state.writer()) for state in states)
         if not _goes_on(source.home, target):
             require_empty(there)

@@ -55,6 +55,10 @@ class State(Protocol):
         """An engine of one connection beside all transactions, for a move; closed at the end."""
         ...
 
+    def damaged_rows(self) -> list[str]:
+        """Rows that are not what was written, as `table number`; none of a server, which tells at each reading."""
+        ...
+
     def newest_clouds(self, count: int) -> list[StoredBlob]:
         """The clouds of the last scans and submaps, so many of each; none where there is no schema yet."""
         ...
@@ -130,6 +134,14 @@ class SqliteState:
 
         return _closed(writer_engine(self._database, checkpoints=True))
 
+    def damaged_rows(self) -> list[str]:
+        """See `State`. Raises sqlite3.Error where the damage keeps it from being read."""
+        from revisit.service.engines.local.sqlite.connections import open_to_read
+        from revisit.service.engines.local.sqlite.row_checksums import damaged_rows
+
+        with closing(open_to_read(self._database)) as rows:
+            return list(damaged_rows(rows))
+
     def newest_clouds(self, count: int) -> list[StoredBlob]:
         """See `State`."""
         from revisit.service.engines.local.sqlite.blob_rows import newest_clouds
@@ -192,6 +204,10 @@ class PostgresState:
         from revisit.service.engines.postgres.connections import writer_engine
 
         return _closed(writer_engine(self._url))
+
+    def damaged_rows(self) -> list[str]:
+        """See `State`."""
+        return []
 
     def newest_clouds(self, count: int) -> list[StoredBlob]:
         """See `State`."""

@@ -8,8 +8,10 @@ from __future__ import annotations
 import os
 import random
 import sqlite3
+import zlib
 from collections import Counter
-from contextlib import closing
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
 from pathlib import Path
 
 import pytest
@@ -187,3 +189,52 @@ def test_an_upgrade_gives_every_row_its_checksum(tmp_path, driven, monkeypatch):
     run(database, "UPDATE scans SET point_count = point_count + 1 WHERE number = 1")
     with closing(sqlite3.connect(database)) as connection:
         assert list(damaged_rows(connection)) == ["scans 1"]
+
+
+def test_a_damaged_row_stays_named_through_changes_and_upgrades(tmp_path, driven, monkeypatch):
+    database = tmp_path / DATABASE
+    database.write_bytes((driven / DATABASE).read_bytes())
+    run(database, "UPDATE submaps SET stamp_ns = stamp_ns + 1 WHERE number = 1")
+    run(database, "UPDATE map_counters SET events = events + 1 WHERE map_id = 'town'")
+    named = damaged_in(database)
+    assert len(named) == 2
+    with keeping(database) as connection:
+        connection.execute("UPDATE submaps SET map_version = map_version + 1")
+        connection.execute("UPDATE map_counters SET events = events + 1")
+    assert damaged_in(database) == named
+    monkeypatch.setattr(schema, "MIGRATIONS", migrations_with_a_next_step(tmp_path))
+    monkeypatch.setattr(schema, "NEWEST_REVISION", NEXT_REVISION)
+    migration.migrate(database)
+    assert damaged_in(database) == named
+
+
+def test_a_damaged_descriptor_stays_refused_until_there_is_another(tmp_path, driven):
+    database = tmp_path / DATABASE
+    database.write_bytes((driven / DATABASE).read_bytes())
+    run(database, "UPDATE submaps SET descriptor = CAST(x'02' || substr(descriptor, 2) AS BLOB) WHERE number = 1")
+    with keeping(database) as connection:
+        connection.execute("UPDATE submaps SET map_version = map_version + 1")
+    assert not sound(database)
+    with keeping(database) as connection:
+        connection.execute("UPDATE submaps SET descriptor = CAST(x'01' || substr(descriptor, 2) AS BLOB)")
+    assert sound(database) and damaged_in(database) == []
+
+
+def damaged_in(database: Path) -> list[str]:
+    with closing(sqlite3.connect(database)) as connection:
+        return list(damaged_rows(connection))
+
+
+def sound(database: Path) -> bool:
+    """Whether the descriptor of the first submap is what its checksum says."""
+    ((descriptor, checksum),) = run(database, "SELECT descriptor, checksum FROM submaps WHERE number = 1")
+    return zlib.crc32(descriptor) == checksum & 0xFFFFFFFF
+
+
+@contextmanager
+def keeping(database: Path) -> Iterator[sqlite3.Connection]:
+    """A connection that keeps checksums as the service's writer does."""
+    with closing(sqlite3.connect(database)) as connection:
+        row_checksums.keep_checksums(connection)
+        yield connection
+        connection.commit()

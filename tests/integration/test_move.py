@@ -22,6 +22,8 @@ from revisit.service.engines.postgres import connections as postgres
 from revisit.service.engines.postgres.transactions import PostgresTransactions
 from revisit.service.engines.s3.blobs import S3BlobStore
 from revisit.service.features.audit.calls import judge
+from revisit.service.moving import move_installation
+from revisit.service.settings import Settings
 from tests.faults.drive import undisturbed
 from tests.support.credentials import a_key
 from tests.support.live_service import connected, live_service, published_drives
@@ -29,6 +31,7 @@ from tests.support.postgres import shared_server
 from tests.support.s3 import nanio, variables
 from tests.support.service_world import SESSION, TENANT, _world, open_session, policy, sqlite_world, submap
 from tests.support.stepped_clock import SteppedClock
+from tests.support.stored_rows import run
 
 
 def quiet(_name: str, _count: int) -> None:
@@ -238,3 +241,12 @@ def test_without_a_new_place_nothing_is_moved(home):
 
 def _named(posted):
     return TENANT, SESSION.map_id, SESSION.session_id, posted.submap.key.submap_id
+
+
+def test_a_damaged_row_is_not_moved_to_where_it_would_seem_whole(home, tmp_path):
+    run(home / "revisit.db", "UPDATE submaps SET stamp_ns = stamp_ns + 1 WHERE number = 1")
+    with pytest.raises(MoveRefused, match="1 are not what was written: submaps 1"):
+        move_installation(Settings(home=home), Settings(home=tmp_path / "there"), quiet)
+    assert [one.detail for one in examine(home, full=True) if one.ok is False] == [
+        "1 are not what was written: submaps 1"
+    ]

@@ -3,21 +3,25 @@
 from __future__ import annotations
 
 import sqlite3
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import structlog
 from sqlalchemy import Connection
 
 from revisit.service.engines import schema
 from revisit.service.engines.local.files.filesystem import require_local
 from revisit.service.engines.local.sqlite.connections import writer_engine
-from revisit.service.engines.local.sqlite.row_checksums import seal
+from revisit.service.engines.local.sqlite.row_checksums import DamagedRow, damage, seal
 from revisit.service.engines.local.sqlite.transactions import WriterLock
 from revisit.service.engines.schema import ForeignSchema
 
 if TYPE_CHECKING:  # imported where something is migrated
     from alembic.config import Config
+
+_log = structlog.get_logger(__name__)
 
 LAST_OF_ALL_STEPS = "74bcf880"
 """The last commit that has the steps from the first schema to 0024: nothing was released before."""
@@ -69,7 +73,10 @@ def _migrate(database: Path, revision: str) -> None:
     engine = writer_engine(database, checkpoints=True, checksums=False)
     try:
         with engine.connect() as connection:
-            config = _configuration(connection)
+            damaged = damage(_driver(connection))
+            if damaged:
+                _log.error("rows_damaged", rows=[f"{one.table} {[*one.key.values()]}" for one in damaged[:20]])
+            config = _configuration(connection, damaged)
             (command.upgrade if upwards else command.downgrade)(config, revision)
     except CommandError as error:
         raise ForeignSchema(str(error)) from error
@@ -91,20 +98,24 @@ def _way_from(present: str) -> str:
     )
 
 
-def _seal(connection: Connection) -> None:
-    """Give all rows their checksums, in the transaction of the migrations."""
+def _driver(connection: Connection) -> sqlite3.Connection:
     driver = connection.connection.driver_connection
     if not isinstance(driver, sqlite3.Connection):
         raise TypeError(f"the migrations run on {type(driver).__name__}, not on SQLite's own driver")
-    seal(driver)
+    return driver
 
 
-def _configuration(connection: Connection) -> Config:
+def _seal(connection: Connection, damaged: Sequence[DamagedRow]) -> None:
+    """Give all rows their checksums, in the transaction of the migrations; what was damaged before stays so."""
+    seal(_driver(connection), damaged)
+
+
+def _configuration(connection: Connection, damaged: Sequence[DamagedRow]) -> Config:
     """Alembic's configuration, without an ini file."""
     from alembic.config import Config
 
     # Batch mode: changes beyond SQLite's ALTER TABLE are made in a copy of the table.
     options = {"connection": connection, "render_as_batch": True, "transactional_ddl": True}
-    config = Config(attributes={"options": options, "afterwards": partial(_seal, connection)})
+    config = Config(attributes={"options": options, "afterwards": partial(_seal, connection, damaged)})
     config.set_main_option("script_location", str(schema.MIGRATIONS))
     return config

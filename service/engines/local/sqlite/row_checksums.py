@@ -13,13 +13,18 @@ import dataclasses
 import json
 import sqlite3
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
 
 from revisit.service.engines.sql.checksums import row_checksum
 from revisit.service.features.audit.calls import judge
 from revisit.service.ports.access import AuditRecord
 
 COLUMN = "checksum"
+
+_UPPER = ~0xFFFFFFFF
+"""The bits of a checksum that are of all values but the one that can be checked alone."""
 
 ALONE = {"submaps": "descriptor"}
 """The column of a table that is checked by itself, wherever it is read."""
@@ -30,25 +35,85 @@ def add_function(connection: sqlite3.Connection) -> None:
     connection.create_function("row_checksum", -1, row_checksum, deterministic=True)
 
 
+def carried_checksum(stored: int | None, before: int, after: int, alone_kept: int) -> int:
+    """The checksum of a row that was changed; that of a damaged one stays wrong, so that its damage stays known.
+
+    `stored` beside the sums of its values `before` and `after`. The value that can be checked alone is sound again
+    where it is another one now.
+    """
+    stored = ~before if stored is None else stored
+    wrong = stored ^ before
+    carried = (stored if wrong & _UPPER else after) & _UPPER
+    return carried | ((stored if wrong & ~_UPPER and alone_kept else after) & ~_UPPER)
+
+
 def keep_checksums(connection: sqlite3.Connection) -> None:
     """From now on every row that this connection writes gets its checksum, in every table that has a column for it."""
     add_function(connection)
+    connection.create_function("carried_checksum", 4, carried_checksum, deterministic=True)
     for table, columns in _tables(connection).items():
-        update = f"{_update(table, columns)} WHERE rowid = NEW.rowid"
+        old, new = (_of(row, columns) for row in ("OLD", "NEW"))
+        alone = ALONE.get(table)
+        kept = f'OLD."{alone}" IS NEW."{alone}"' if alone else "1"
+        carried = f"carried_checksum(OLD.{COLUMN}, row_checksum({old}), row_checksum({new}), {kept})"
         # The write of the first trigger is no change for the second.
-        for event, when in (("INSERT", ""), ("UPDATE", f"WHEN NEW.{COLUMN} IS OLD.{COLUMN}")):
+        for event, when, value in (
+            ("INSERT", "", f"row_checksum({new})"),
+            ("UPDATE", f"WHEN NEW.{COLUMN} IS OLD.{COLUMN}", carried),
+        ):
+            update = f'UPDATE "{table}" SET {COLUMN} = {value} WHERE rowid = NEW.rowid'  # noqa: S608  # own schema
             name = f"checksum_{table}_{event}"
             connection.execute(
                 f'CREATE TEMP TRIGGER "{name}" AFTER {event} ON main."{table}" {when} BEGIN {update}; END'
             )
 
 
-def seal(connection: sqlite3.Connection) -> None:
-    """Give every row and the schema their checksum, as they are: after the schema was changed."""
+def seal(connection: sqlite3.Connection, damaged: Sequence[DamagedRow] = ()) -> None:
+    """Give every row and the schema their checksum, as they are: after the schema was changed.
+
+    The checksums of `damaged` rows stay wrong.
+    """
     add_function(connection)
     for table, columns in _tables(connection).items():
-        connection.execute(_update(table, columns))
+        connection.execute(f'UPDATE "{table}" SET {COLUMN} = row_checksum({_of(None, columns)})')  # noqa: S608
+    for row in damaged:
+        where = " AND ".join(f'"{column}" IS ?' for column in row.key)
+        found = connection.execute(f'SELECT {COLUMN} FROM "{row.table}" WHERE {where}', [*row.key.values()]).fetchone()  # noqa: S608
+        if found is not None:
+            kept = carried_checksum(row.stored, row.computed, found[0], 1)
+            connection.execute(f'UPDATE "{row.table}" SET {COLUMN} = ? WHERE {where}', [kept, *row.key.values()])  # noqa: S608
     connection.execute(f"PRAGMA user_version = {_schema_checksum(connection) if _tables(connection) else 0}")
+
+
+@dataclass(frozen=True)
+class DamagedRow:
+    """A row whose checksum is wrong: its primary key, the checksum that is stored, and that of its values."""
+
+    table: str
+    key: dict[str, Any]
+    stored: int
+    computed: int
+
+
+def damage(connection: sqlite3.Connection) -> list[DamagedRow]:
+    """The damaged rows, to be handed to `seal`: but for those of the audit log, and such as were never sealed.
+
+    Raises sqlite3.Error.
+    """
+    add_function(connection)
+    found = []
+    for table, columns in _tables(connection).items():
+        names = [row[1] for row in connection.execute(f'PRAGMA table_info("{table}")') if row[5]]
+        key, computed = ", ".join(f'"{name}"' for name in names), f"row_checksum({_of(None, columns)})"
+        rows = connection.execute(
+            f'SELECT {COLUMN}, {computed}, {key} FROM "{table}" WHERE {COLUMN} <> {computed}'  # noqa: S608
+        )
+        found += [DamagedRow(table, dict(zip(names, its, strict=True)), *sums) for *sums, its in map(_split, rows)]
+    return found
+
+
+def _split(row: tuple[Any, ...]) -> tuple[Any, ...]:
+    return row[0], row[1], row[2:]
 
 
 def damaged_rows(connection: sqlite3.Connection) -> Iterator[str]:
@@ -70,8 +135,9 @@ def damaged_rows(connection: sqlite3.Connection) -> Iterator[str]:
     yield from _wrong_audit(connection)
 
 
-def _wrong_rows(connection: sqlite3.Connection, table: str, columns: str) -> Iterator[str]:
-    wrong = f'SELECT rowid FROM "{table}" WHERE {COLUMN} IS NOT row_checksum({columns})'  # noqa: S608  # own schema
+def _wrong_rows(connection: sqlite3.Connection, table: str, columns: Sequence[str | None]) -> Iterator[str]:
+    right = f"row_checksum({_of(None, columns)})"
+    wrong = f'SELECT rowid FROM "{table}" WHERE {COLUMN} IS NOT {right}'  # noqa: S608  # own schema
     try:
         for (number,) in connection.execute(wrong):
             yield f"{table} {number}"
@@ -114,19 +180,22 @@ def _wrong_counters(connection: sqlite3.Connection) -> Iterator[str]:
         yield f"a counter of {name!r}"
 
 
-def _update(table: str, columns: str) -> str:
-    return f'UPDATE "{table}" SET {COLUMN} = row_checksum({columns})'  # noqa: S608  # names of our own schema
+def _of(row: str | None, columns: Sequence[str | None]) -> str:
+    """The arguments of `row_checksum` for the `columns` of OLD, of NEW, or of the row that is looked at."""
+    prefix = "" if row is None else f"{row}."
+    return ", ".join("NULL" if column is None else f'{prefix}"{column}"' for column in columns)
 
 
-def _tables(connection: sqlite3.Connection) -> dict[str, str]:
-    """The tables with a column for checksums, and the arguments of `row_checksum` for their rows."""
-    found = {}
+def _tables(connection: sqlite3.Connection) -> dict[str, list[str | None]]:
+    """The tables with a column for checksums, and the columns that `row_checksum` takes: first the one that can be
+    checked alone, if there is one.
+    """
+    found: dict[str, list[str | None]] = {}
     for (table,) in connection.execute("SELECT name FROM sqlite_schema WHERE type = 'table' ORDER BY name").fetchall():
         columns = sorted(row[1] for row in connection.execute(f'PRAGMA table_info("{table}")'))
         if COLUMN in columns:
             alone = ALONE.get(table)
-            others = [f'"{column}"' for column in columns if column not in (COLUMN, alone)]
-            found[table] = ", ".join(["NULL" if alone is None else f'"{alone}"', *others])
+            found[table] = [alone, *(column for column in columns if column not in (COLUMN, alone))]
     return found
 
 
