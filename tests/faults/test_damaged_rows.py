@@ -220,6 +220,18 @@ def test_a_damaged_descriptor_stays_refused_until_there_is_another(tmp_path, dri
     assert sound(database) and damaged_in(database) == []
 
 
+@pytest.mark.parametrize("stored", [None, 1.5, "x", b"x"])
+def test_a_row_with_a_checksum_of_another_kind_can_be_changed_and_stays_damaged(tmp_path, driven, stored):
+    database = tmp_path / DATABASE
+    database.write_bytes((driven / DATABASE).read_bytes())
+    with closing(sqlite3.connect(database)) as connection:
+        connection.execute("UPDATE plans SET checksum = ?", (stored,))
+        connection.commit()
+    with keeping(database) as connection:
+        connection.execute("UPDATE plans SET display_name = 'other'")
+    assert [name.split()[0] for name in damaged_in(database)] == ["plans"]
+
+
 def damaged_in(database: Path) -> list[str]:
     with closing(sqlite3.connect(database)) as connection:
         return list(damaged_rows(connection))

@@ -17,6 +17,8 @@ Value = str | int | float | bytes | None
 _LENGTH_BEYOND = 1e-3
 """How far the length of a descriptor may be from 1: thousands of times the rounding error."""
 
+_UPPER = ~0xFFFFFFFF
+"""The bits of a checksum that are of all values but the one that can be checked alone."""
 
 log = structlog.get_logger(__name__)
 
@@ -30,6 +32,19 @@ def row_checksum(alone: bytes | None, *values: Value) -> int:
     size = None if alone is None else len(alone)
     halves = struct.pack(">II", zlib.crc32(f"{size} {others}".encode()), zlib.crc32(alone or b""))
     return int.from_bytes(halves, "big", signed=True)
+
+
+def carried_checksum(stored: Value, before: int, after: int, alone_kept: int) -> int:
+    """The checksum of a row that was changed; that of a damaged one stays wrong, so that its damage stays known.
+
+    `stored` beside the sums of its values `before` and `after`. The value that can be checked alone is sound again
+    where it is another one now.
+    """
+    if not isinstance(stored, int):
+        stored = ~before
+    wrong = stored ^ before
+    carried = (stored if wrong & _UPPER else after) & _UPPER
+    return carried | ((stored if wrong & ~_UPPER and alone_kept else after) & ~_UPPER)
 
 
 def sound_descriptor(number: int, descriptor: bytes | None, checksum: int | None) -> bytes | None:

@@ -17,14 +17,11 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from revisit.service.engines.sql.checksums import row_checksum
+from revisit.service.engines.sql.checksums import carried_checksum, row_checksum
 from revisit.service.features.audit.calls import judge
 from revisit.service.ports.access import AuditRecord
 
 COLUMN = "checksum"
-
-_UPPER = ~0xFFFFFFFF
-"""The bits of a checksum that are of all values but the one that can be checked alone."""
 
 ALONE = {"submaps": "descriptor"}
 """The column of a table that is checked by itself, wherever it is read."""
@@ -33,18 +30,6 @@ ALONE = {"submaps": "descriptor"}
 def add_function(connection: sqlite3.Connection) -> None:
     """Make `row_checksum` known to a connection."""
     connection.create_function("row_checksum", -1, row_checksum, deterministic=True)
-
-
-def carried_checksum(stored: int | None, before: int, after: int, alone_kept: int) -> int:
-    """The checksum of a row that was changed; that of a damaged one stays wrong, so that its damage stays known.
-
-    `stored` beside the sums of its values `before` and `after`. The value that can be checked alone is sound again
-    where it is another one now.
-    """
-    stored = ~before if stored is None else stored
-    wrong = stored ^ before
-    carried = (stored if wrong & _UPPER else after) & _UPPER
-    return carried | ((stored if wrong & ~_UPPER and alone_kept else after) & ~_UPPER)
 
 
 def keep_checksums(connection: sqlite3.Connection) -> None:
