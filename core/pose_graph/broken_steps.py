@@ -4,8 +4,8 @@ One such step bends a map: the loops on one side of it agree with each other, th
 both together with the odometry only at the price of half of them. Graduated non-convexity over steps and loops alike
 finds the steps without which everything else agrees. A place that is taken for another one looks like that too, so a
 step is broken only where loops of several places speak for it on both sides, by no more than odometry goes wrong, and
-where the way beyond is not back where odometry has it; undecided where they are of one place on a side
-(docs/decisions/0095).
+where the way beyond is not back where odometry has it; undecided where they are of one place on a side, or say a large
+turn (docs/decisions/0095).
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ LEAST_LOOPS, LEAST_PLACES = 5, 2
 """On each side of a fault: loops that hold, and the places that show them."""
 
 MOST_M, MOST_RAD = 15.0, float(np.radians(45.0))
-"""A larger error is more likely another place than a fault of odometry."""
+"""A larger shift is more likely another place than a fault of odometry; so may a larger turn be, which is undecided."""
 
 EXPLAINED = 0.8
 """The share of the places that loops show which must hold once the steps are mended."""
@@ -87,7 +87,7 @@ class Steps(Enum):
 
 def broken_steps(search: StepSearch, steps: Steps) -> list[Mending]:
     """The broken ones among some steps of sessions that share a frame. Undecided are those that loops of one place
-    show on a side: of a short drive, or of a place that is taken for another one.
+    show on a side, and large turns: of a short drive, or of a place that is taken for another one.
     """
     held = search.held(steps) if search.most_explained >= EXPLAINED else None
     if held is None or not held.broken.any() or held.explained < EXPLAINED:
@@ -99,7 +99,7 @@ def broken_steps(search: StepSearch, steps: Steps) -> list[Mending]:
         if len(events) != 1:
             return []
     possible = np.array([_is_possible(one, events) for one in events], dtype=bool)
-    certain = possible & np.array([min(one.places) >= LEAST_PLACES for one in events], dtype=bool)
+    certain = possible & np.array([one.is_certain for one in events], dtype=bool)
     sizes = np.array([one.size for one in events])
     outweighs, stands = (SMALL_SHARE * sizes > sizes[~some].max(initial=0.0) for some in (possible, certain))
     is_sure, is_large = certain & stands, sizes >= SMALL_SHARE * sizes.max(initial=0.0)
@@ -116,7 +116,7 @@ def shows_a_fault(loop: LoopEdge, T_map_submap: dict[str, Array64]) -> bool:
     T_map_query = T_map_submap[loop.query.session][loop.query.ordinal]
     tangent = se3.log(se3.inverse(T_map_match @ loop.T_match_query) @ T_map_query)
     turn, lever_m = float(np.linalg.norm(tangent[3:])), float(np.ptp(T_map_submap[loop.query.session][:, :3, 3]))
-    return turn < MOST_RAD and float(np.linalg.norm(tangent[:3])) < MOST_M + turn * lever_m
+    return float(np.linalg.norm(tangent[:3])) < MOST_M + turn * lever_m
 
 
 def is_bent(graph: PoseGraph, kept: Collection[int], T_map_submap: dict[str, Array64]) -> bool:
@@ -245,6 +245,11 @@ class _Event:
     places: tuple[int, int]
 
     @property
+    def is_certain(self) -> bool:
+        """Whether loops decide, and no surfaces are asked."""
+        return min(self.places) >= LEAST_PLACES and float(np.linalg.norm(self.correction[3:])) <= MOST_RAD
+
+    @property
     def size(self) -> float:
         """How large the correction is, metres."""
         return float(np.linalg.norm(self.correction[:3]) + LEVER_M * np.linalg.norm(self.correction[3:]))
@@ -333,8 +338,8 @@ def _places(ends: NDArray[np.int64]) -> int:
 
 def _is_possible(event: _Event, events: Sequence[_Event]) -> bool:
     """Whether a fault is one but for the places that show it: see the beginning of this file."""
-    shift, turn = np.linalg.norm(event.correction[:3]), np.linalg.norm(event.correction[3:])
-    if min(event.loops) < LEAST_LOOPS or shift > MOST_M or turn > MOST_RAD:
+    shift = np.linalg.norm(event.correction[:3])
+    if min(event.loops) < LEAST_LOOPS or shift > MOST_M:
         return False
     return not any(_come_back(event, other) for other in events if other is not event)
 

@@ -42,8 +42,8 @@ class OdometryFault:
 
     first and last: the submaps between which it lies; loops of neither side tell where. amount: metres of a slip or
     jump, radians of a turn or tilt, metres or radians a metre of a steady fault; sigma is its standard
-    deviation. loops: how many speak for it. undecided: loops of one place alone show it on a side, so that it may be
-    a place that is taken for another one; the poses do not have it taken out.
+    deviation. loops: how many speak for it. undecided: loops of one place alone show it on a side, or it is a large
+    turn, so that it may be a place that is taken for another one; the poses do not have it taken out.
     """
 
     session: str

@@ -16,7 +16,13 @@ from revisit.service.domain.identity import SessionKey
 from revisit.service.features.graph.join_audit import FAULT_PAIRS
 from revisit.service.features.resources.paging import PageRequest
 from tests.support.fake_merger import FakeMerger
-from tests.support.fleet_in_service import fleet_in, lengthened_fleet_in, restarted_fleet_in, slipped_fleet_in
+from tests.support.fleet_in_service import (
+    fleet_in,
+    lengthened_fleet_in,
+    lifted_fleet_in,
+    restarted_fleet_in,
+    slipped_fleet_in,
+)
 from tests.support.service_world import TENANT, memory_world
 
 MISPLACED = 45
@@ -197,6 +203,13 @@ async def test_a_place_that_looks_like_another_one_is_not_believed_for_a_fault_t
     summary, codes, _, _ = await drives.optimised()
     assert {one["undecided"] for one in summary["odometry_faults"] if one["kind"] != "SCALE"} == {True}
     assert "odometry_undecided" in codes
+
+
+async def test_a_robot_that_was_lifted_and_turned_is_told_and_mended_by_the_surfaces():
+    drives = Drives(slipped=False, aside_m=0.0, made=lifted_fleet_in)
+    drives.world.merger = Surfaces(drives.truth())
+    summary, codes, off_m, _ = await drives.optimised()
+    assert (codes, summary["loops_set_aside"], off_m < 0.5) == (["odometry_turn"], 0, True)
 
 
 async def test_odometry_that_begins_anew_is_told_and_the_map_is_as_good_as_without_it():

@@ -107,6 +107,16 @@ def restarted_fleet_in(world: World, map_id: str) -> FleetInService:
     return _faulty_fleet_in(world, map_id, restarted)
 
 
+def lifted_fleet_in(world: World, map_id: str) -> FleetInService:
+    """Store two drives with right loops all along, of which `s1` turns by 90 degrees at submap 30. See `fleet_in`."""
+
+    def lifted(poses: np.ndarray) -> np.ndarray:
+        turn = poses[30] @ se3.from_yaw(np.pi / 2.0) @ se3.inverse(poses[30])
+        return np.concatenate([poses[:30], turn @ poses[30:]])
+
+    return _faulty_fleet_in(world, map_id, lifted)
+
+
 def _faulty_fleet_in(
     world: World, map_id: str, wrong: Callable[[np.ndarray], np.ndarray], tenant: TenantId = TENANT, *,
     with_places: bool = False, sessions: int = 2,

@@ -239,6 +239,15 @@ def test_a_fault_that_loops_of_one_place_show_is_undecided_and_the_poses_are_as_
     assert apart_m(mended) < 0.3
 
 
+def test_a_turn_of_a_robot_that_was_lifted_is_undecided_however_many_loops_show_it():
+    poses = winding_way()
+    drives = [odometry("a", poses, 1), odometry("b", poses, 2, at_once(se3.from_yaw(np.radians(90.0))))]
+    answer = optimise(PoseGraph.of(drives, loops(poses)))
+    (fault,) = answer.faults
+    assert (fault.session, fault.kind, fault.first, fault.last, fault.undecided) == ("b", FaultKind.TURN, 39, 40, True)
+    assert set(answer.otherwise.loops) == {GraphState.IN_MAP} and apart_m(answer.otherwise) < 0.3
+
+
 def test_an_undecided_fault_of_a_large_graph_is_told_without_a_second_answer(monkeypatch):
     monkeypatch.setattr(optimisation, "MOST_SOLVED_TWICE", 10)
     _, _, wrong = FAULTS["a slip of 5 m"]
@@ -271,6 +280,22 @@ def misplaced(stretch: range, aside_m: float) -> list[LoopEdge]:
 def test_a_place_taken_for_another_one_is_no_fault_and_not_in_the_map(stretch: range, aside_m: float) -> None:
     poses = winding_way()
     graph = PoseGraph.of([odometry("a", poses, 1), odometry("b", poses, 2)], misplaced(stretch, aside_m))
+    answer = optimise(graph)
+    assert all(one.undecided for one in answer.faults)
+    kept = {loop.name for loop, state in zip(graph.loops, answer.loops, strict=True) if state is GraphState.IN_MAP}
+    assert not any(name.startswith("wrong") for name in kept)
+
+
+@pytest.mark.parametrize("stretch", [range(30, 45), range(45, 80)])
+def test_a_place_that_looks_alike_from_another_side_is_no_fault_beyond_doubt_and_not_in_the_map(stretch: range) -> None:
+    """A stretch of loops turned by 90 degrees about its middle."""
+    poses, found = winding_way(), loops(winding_way())
+    middle = poses[stretch[len(stretch) // 2]]
+    turn = middle @ se3.from_yaw(np.pi / 2.0) @ se3.inverse(middle)
+    for k in stretch:
+        moved = se3.inverse(poses[k]) @ turn @ poses[k] @ found[k].T_match_query
+        found[k] = replace(found[k], name=f"wrong-{k}", T_match_query=moved)
+    graph = PoseGraph.of([odometry("a", poses, 1), odometry("b", poses, 2)], found)
     answer = optimise(graph)
     assert all(one.undecided for one in answer.faults)
     kept = {loop.name for loop, state in zip(graph.loops, answer.loops, strict=True) if state is GraphState.IN_MAP}
