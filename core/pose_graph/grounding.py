@@ -74,7 +74,10 @@ class Grounding:
     @classmethod
     def of(cls, component: HeldComponent, anchors: Sequence[Anchor]) -> Grounding:
         """A component with these anchors."""
-        its = receivers(anchors, absolute_edges(anchors, component.rows), component.before)
+        stated = absolute_edges(anchors, component.rows)
+        its = receivers(anchors, stated, component.before)
+        if all(one.raised == 1.0 for one in its):
+            return cls(component, tuple(anchors), stated, its)
         sure = as_sure_as_they_are(anchors, its)
         return cls(component, sure, absolute_edges(sure, component.rows), its)
 
