@@ -3,18 +3,22 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
 
 from revisit.core.errors import DataLoss
 from revisit.core.radio import RadioFingerprint
+from revisit.service.domain.identity import SessionKey
 from revisit.service.domain.states import OperationState, SubmapState
 from revisit.service.features.graph.anchor_verdicts import anchor_verdicts
 from revisit.service.features.graph.session_poses import PackedSubmaps, unpack_loops
 from revisit.service.features.operations.claiming import JobClaims
 from revisit.service.features.resources.paging import PageRequest
+from revisit.service.features.webhooks.calls import CreateWebhook
 from tests.support.records import a_loop, a_map, a_session, a_submap
+from tests.support.retained import driven, policy_set, stored_seqs
 from tests.support.service_world import SESSION, TENANT, World, open_session, sqlite_world, submap
 from tests.support.stored_rows import run
 
@@ -153,3 +157,25 @@ def test_what_is_done_for_all_tenants_goes_on_beside_a_damaged_map(world, tmp_pa
     found = store.read(lambda uow: uow.maps.of_all_tenants(limit=limit)).result()
     assert [record.map_id for record in found] == ["three"]
     assert not store.read(lambda uow: uow.maps.of_all_tenants(after=found[-1].number, limit=limit)).result()
+
+
+async def test_webhooks_of_others_are_told_beside_a_damaged_one(world, tmp_path):
+    await open_session(world)
+    for webhook_id in ("first", "second"):
+        await world.use_cases.webhooks.create(TENANT, CreateWebhook(webhook_id, "https://example.org/x"))
+    await world.use_cases.posting.post(TENANT, submap("a", 1))
+    world.work_off()
+    due = partial(world.context.transactions.read, lambda uow: uow.webhooks.due(2**62))
+    assert [one.webhook_id for one in due().result()] == ["first", "second"]
+    run(tmp_path / DATABASE, "UPDATE webhooks SET kinds = 'x' WHERE webhook_id = 'first'")
+    assert [one.webhook_id for one in due().result()] == ["second"]
+
+
+async def test_retention_goes_on_beside_a_damaged_map(world, tmp_path):
+    for map_id in ("one", "two"):
+        await driven(world, 20, SessionKey(map_id, "monday"))
+        await policy_set(world, "scans=none", map_id)
+    run(tmp_path / DATABASE, "UPDATE submaps SET flags = 'x' WHERE map_id = 'one'")
+    await world.context.retention.all()
+    assert stored_seqs(world, SessionKey("two", "monday")) == []
+    assert stored_seqs(world, SessionKey("one", "monday")) != []

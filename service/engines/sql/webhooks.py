@@ -55,7 +55,7 @@ class SqlWebhooks(SqlRepository[WebhookRecord]):
         webhooks = tables.webhooks.c
         is_due = and_(webhooks.state == WebhookState.ENABLED.value, webhooks.due_at_ns <= now_ns)
         query = select(tables.webhooks).where(is_due, webhooks.number.in_(_with_news(webhooks.number)))
-        return [self._of(row) for row in self._connection.execute(query.order_by(webhooks.due_at_ns, webhooks.number))]
+        return self._readable(self._connection.execute(query.order_by(webhooks.due_at_ns, webhooks.number)))
 
     def news(self, webhook: WebhookRecord) -> dict[str, News]:
         """See `WebhookRepository`."""

@@ -11,6 +11,7 @@ from itertools import islice
 
 import structlog
 
+from revisit.core.errors import DataLoss
 from revisit.service.domain.events import EventRecord
 from revisit.service.domain.identity import TenantId
 from revisit.service.domain.policy import Policy
@@ -57,11 +58,18 @@ class Retention:
         self._ranked = dict[int, tuple[int, int | None, int]]()
 
     async def all(self, now_ns: int | None = None) -> None:
-        """One run over every map of every tenant, as of `now_ns`; the wall clock's time by default."""
+        """One run over every map of every tenant, as of `now_ns`; the wall clock's time by default.
+
+        A map with damaged rows is passed over.
+        """
         async for record in self._maps():
             policy = self._rules.kept_of(record)
-            if policy != KEEPS_ALL:
+            if policy == KEEPS_ALL:
+                continue
+            try:
                 await self.of_map(record, policy, now_ns)
+            except DataLoss as error:
+                log.error("retention_stopped", tenant=record.tenant, map=record.map_id, reason=error.message)
 
     async def _maps(self) -> AsyncIterator[MapRecord]:
         after: int | None = 0
