@@ -65,7 +65,7 @@ def _taken(pairs: list[Pairing], found: BagTopics, stamps: Stamps) -> list[str]:
     said = [f"clouds of {first.clouds.name} ({frames}), {len(stamps)} of {taken} with a pose"]
     if first.poses in found.poses:
         topic = found.poses[first.poses]
-        said.append(f"poses of {first.poses} (frame {topic.frame}, following {topic.body or 'what it does not name'})")
+        said.append(f"poses of {first.poses} (frame {topic.frame}, following {topic.body or 'no frame that it names'})")
     elif first.poses != KISS_ICP:
         said.append(f"poses by the transforms of {first.poses}")
     return [*said, *(("warning: " if pair.relation is Relation.ASSUMED else "") + pair.why for pair in pairs)]

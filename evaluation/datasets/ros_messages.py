@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from revisit.core.errors import MalformedBody
+from revisit.core.errors import BadField, MalformedBody
 from revisit.core.geometry import se3
 from revisit.core.scan import Intensity, Points
 from revisit.evaluation.datasets.bag_message import Encoding
@@ -211,7 +211,10 @@ def _point_cloud_2(fields: _Fields, names: tuple[str, ...]) -> PackedCloud:
     count = int(fields.number("I"))
     if count > MAX_FIELDS:
         raise MalformedBody(f"a cloud with {count} fields")
-    columns = tuple(column for column in (_column(fields) for _ in range(count)) if column.name.lower() in names)
+    given = [_column(fields) for _ in range(count)]
+    columns = tuple(column for column in given if column.name.lower() in names)
+    if not columns and names[0] in COORDINATES:
+        raise BadField(f"the cloud has no fields x, y and z, but {', '.join(column.name for column in given)}"[:200])
     big_endian = bool(fields.number("B"))
     point_step, row_step = (int(value) for value in fields.numbers("I", 2))
     data = _without_padding(fields.raw(), height, width * point_step, row_step)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
+from datetime import UTC, datetime
 
 import numpy as np
 
@@ -14,7 +15,8 @@ from revisit.evaluation.datasets.bag_topics import BagTopics, CloudTopic, PoseTo
 from revisit.evaluation.datasets.lidar_odometry import KISS_ICP
 from revisit.evaluation.datasets.namespaces import alike, of_another_robot, shared, twins
 from revisit.evaluation.datasets.pairing import BetweenFrames, Fixed, Pairing, PoseSource, Relation
-from revisit.evaluation.datasets.posed_clouds import StampedPoses
+from revisit.evaluation.datasets.posed_clouds import StampedPoses, Stamps
+from revisit.evaluation.datasets.ros_messages import CLOUD_TYPES, PATH_TYPES, POSE_TYPES
 from revisit.evaluation.datasets.transform_tree import TransformTree, stamped_poses
 
 TF = "/tf"
@@ -23,6 +25,7 @@ SAME_MOUNTING_M, SAME_MOUNTING_DEG = 0.02, 0.5
 """A mounting that is given is taken for the one that the transforms tell up to this."""
 
 _LIDAR_ODOMETRY = re.compile(r"kiss|icp|lio|loam|lidar", re.IGNORECASE)
+_POSED = (*POSE_TYPES, *PATH_TYPES)
 _PACKETS = ("VelodyneScan", "PacketMsg", "RobosensePacket", "RslidarScan", "HesaiScan", "PandarScan")
 
 
@@ -55,8 +58,7 @@ def choose(found: BagTopics, wanted: WantedTopics) -> Pairing:
         raise BadField(_no_poses(found, clouds, wanted), field="odometry")
     counts = [int(pair.covered().sum()) for pair in pairs]
     if max(counts) == 0:
-        raise BadField(f"no cloud of {pairs[0].clouds.name} was taken while there were poses of {pairs[0].poses}: "
-                       "are both stamped by one clock?", field="poses")  # fmt: skip
+        raise BadField(_apart_in_time(pairs[0], found), field="poses")
     usable = [(pair, count) for pair, count in zip(pairs, counts, strict=True) if 2 * count >= max(counts)]
     return min(usable, key=lambda choice: _order(choice[0], choice[1], pairs, found))[0]
 
@@ -289,7 +291,23 @@ def _registered(
     return Pairing(cloud, topic.name, Relation.REGISTERED, poses, mounting, frame, why)
 
 
+def _apart_in_time(pair: Pairing, found: BagTopics) -> str:
+    """The advice where no cloud of a pair was taken at a time of its poses."""
+    topic = found.poses.get(pair.poses)
+    posed = [] if topic is None else [topic.stamps_ns]
+    said = f"no cloud of {pair.clouds.name} was taken while there were poses of {pair.poses}"
+    spans = " and ".join(map(_span, (pair.clouds.stamps_ns, *(posed or pair.stamps_ns())[:1])))
+    return f"{said} (stamped {spans}): are both stamped by one clock?"
+
+
+def _span(stamps_ns: Stamps) -> str:
+    ends = [datetime.fromtimestamp(int(at) // 10**9, UTC) for at in (stamps_ns.min(), stamps_ns.max())]
+    return f"{ends[0]:%Y-%m-%d %H:%M:%S} to {ends[1]:%H:%M:%S}"
+
+
 def _no_clouds(found: BagTopics) -> str:
+    if empty := sorted(topic for topic, kind in found.types.items() if kind in CLOUD_TYPES):
+        return f"{', '.join(empty[:5])} holds no message: did the driver publish while the bag was recorded?"
     packets = [topic for topic, kind in found.types.items() if kind.endswith(_PACKETS)]
     if packets:
         return (
@@ -334,5 +352,7 @@ def _no_mounting(cloud: CloudTopic, found: BagTopics, wanted: WantedTopics) -> s
 
 
 def _listed(found: BagTopics) -> str:
-    topics = [f"{topic} ({kind})" for topic, kind in sorted(found.types.items())]
+    empty = {topic for topic, kind in found.types.items() if kind in _POSED and topic not in found.poses}
+    notes = dict.fromkeys(empty, ", no usable message")
+    topics = [f"{topic} ({kind}{notes.get(topic, '')})" for topic, kind in sorted(found.types.items())]
     return ", ".join(topics[:20]) + (f" and {len(topics) - 20} more" if len(topics) > 20 else "")

@@ -225,6 +225,11 @@ class Layout:
         self.rows.append((START_NS, topic, "std_msgs/msg/String", self.types["std_msgs/msg/String"](data="hello")))
         return self
 
+    def silent(self, topic: str, kind: str) -> Layout:
+        """A topic that was recorded and on which nothing came."""
+        self.rows.append((START_NS, topic, kind, None))
+        return self
+
     def write2(self, folder: Path, plugin: str = "MCAP", *, compressed: str = "") -> Path:
         """`compressed` is "MESSAGE" or "FILE", by zstd."""
         from rosbags.rosbag2 import StoragePlugin, Writer
@@ -253,7 +258,8 @@ class Layout:
         for stamp, topic, kind, message in sorted(self.rows, key=lambda row: row[0]):
             if topic not in connections:
                 connections[topic] = writer.add_connection(topic, kind, typestore=self.store)
-            writer.write(connections[topic], stamp, serialize(message, kind))
+            if message is not None:
+                writer.write(connections[topic], stamp, serialize(message, kind))
 
 
 def back_in_time(layout: Layout, since_ns: int, by_ns: int) -> Layout:

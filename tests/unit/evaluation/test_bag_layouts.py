@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import sqlite3
 from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -204,6 +205,25 @@ def test_registered_clouds_in_a_map_far_from_its_origin_keep_their_millimetres(t
 REFUSED = {
     "no odometry": (lambda: Layout().raw("/points", "lidar"), {}, "--odometry kiss-icp"),
     "no clouds": (lambda: Layout().odometry("/odom", "odom", "base"), {}, "no sensor_msgs/PointCloud2.*nav_msgs"),
+    "clouds that never came": (
+        lambda: Layout().silent("/points", "sensor_msgs/msg/PointCloud2").odometry("/odom", "odom", "base"),
+        {},
+        "^/points holds no message",
+    ),
+    "poses that never came": (
+        lambda: Layout().raw("/points", "lidar").silent("/odom", "nav_msgs/msg/Odometry"),
+        {},
+        r"/odom \(nav_msgs/msg/Odometry, no usable message\)",
+    ),
+    "clouds by another clock": (
+        lambda: (
+            Layout()
+            .clouds("/points", "lidar", lambda stamp: np.eye(4), lambda stamp: stamp - START_NS + 5 * 10**9)
+            .odometry("/odom", "odom", "lidar")
+        ),
+        {},
+        "stamped 1970-01-01 00:00:05 to 00:00:05 and 2023-11-14 22:13:19 to 22:13:20",
+    ),
     "no such topic": (two_lidars, {"topic": "/left"}, "/front/points, /rear/points"),
     "no such odometry": (two_lidars, {"odometry": "/wheels"}, "topics with poses: /odom"),
     "transforms that do not move": (
@@ -219,6 +239,15 @@ def test_what_cannot_be_read_is_refused_with_advice(tmp_path: Path, case: str) -
     layout, wanted, advice = REFUSED[case]
     with pytest.raises(BadField, match=advice):
         open_bag(layout().write2(tmp_path / "drive"), WantedTopics(**wanted))
+
+
+def test_a_cloud_without_coordinates_is_refused_with_the_fields_that_it_has(tmp_path: Path) -> None:
+    layout = Layout().raw("/points", "lidar").odometry("/odom", "odom", "lidar")
+    for _, topic, _, message in layout.rows:
+        if topic == "/points":
+            message.fields[:] = [replace(message.fields[0], name="xyz", count=3)]
+    with pytest.raises(BadField, match="no fields x, y and z, but xyz"):
+        open_bag(layout.write2(tmp_path / "drive")).scan(0)
 
 
 @pytest.mark.parametrize("compression", [None, "BZ2"])
