@@ -25,6 +25,8 @@ SAME_MOUNTING_M, SAME_MOUNTING_DEG = 0.02, 0.5
 """A mounting that is given is taken for the one that the transforms tell up to this."""
 
 _LIDAR_ODOMETRY = re.compile(r"kiss|icp|lio|loam|lidar", re.IGNORECASE)
+_DEPTH_CAMERA = re.compile(r"camera|depth|stereo|realsense|kinect|/zed|/oak", re.IGNORECASE)
+_CAMERA_FRAME = re.compile(r"optical|depth", re.IGNORECASE)
 _POSED = (*POSE_TYPES, *PATH_TYPES)
 _PACKETS = ("VelodyneScan", "PacketMsg", "RobosensePacket", "RslidarScan", "HesaiScan", "PandarScan")
 
@@ -50,23 +52,30 @@ def choose(found: BagTopics, wanted: WantedTopics) -> Pairing:
     Poses of another robot (`namespaces`) are no choice unless they are named. Of those that fit the same clouds alike,
     the ones that share the longer namespace with them are taken. Among equals again poses that a LiDAR odometry
     publishes go before those of wheels, told by the topic's name. A pair that has poses for less than half as many
-    clouds as another one is no choice. Raises BadField, with advice, where there is none.
+    clouds as another one is no choice. Clouds of a depth camera, told by the names of topic and frame, are no choice
+    beside others that have poses. Raises BadField, with advice, where there is none.
     """
     clouds = _named(found.clouds, wanted.topic, "topic", found)
     pairs = [pair for cloud in clouds for part in cloud.by_frame() for pair in _pairings(part, found, wanted)]
     if not pairs:
         raise BadField(_no_poses(found, clouds, wanted), field="odometry")
-    counts = [int(pair.covered().sum()) for pair in pairs]
-    if max(counts) == 0:
+    counted = [(pair, int(pair.covered().sum())) for pair in pairs]
+    if max(count for _, count in counted) == 0:
         raise BadField(_apart_in_time(pairs[0], found), field="poses")
-    usable = [(pair, count) for pair, count in zip(pairs, counts, strict=True) if 2 * count >= max(counts)]
+    by_lidar = [(pair, count) for pair, count in counted if count and not _by_camera(pair.clouds)]
+    counted = by_lidar or counted
+    most = max(count for _, count in counted)
+    usable = [(pair, count) for pair, count in counted if 2 * count >= most]
     return min(usable, key=lambda choice: _order(choice[0], choice[1], pairs, found))[0]
 
 
 def clouds_alone(found: BagTopics, wanted: WantedTopics) -> CloudTopic:
-    """The most clouds of one topic and one frame, whatever poses there are. Raises BadField where there are none."""
+    """The most clouds of one topic and one frame, whatever poses there are, those of a depth camera last.
+
+    Raises BadField where there are none.
+    """
     parts = [part for topic in _named(found.clouds, wanted.topic, "topic", found) for part in topic.by_frame()]
-    return max(parts, key=lambda part: len(part.stamps))
+    return max(parts, key=lambda part: (not _by_camera(part), len(part.stamps)))
 
 
 def with_other_frames(pair: Pairing, found: BagTopics, wanted: WantedTopics) -> list[Pairing]:
@@ -162,6 +171,10 @@ def _order(pair: Pairing, count: int, pairs: list[Pairing], found: BagTopics) ->
     behind = max(other.common_segments for other in same) - pair.common_segments
     doubtful = bool(_closer_clouds(pair, found))
     return pair.relation, doubtful, behind, -count, not _by_lidar(pair.poses), -samples
+
+
+def _by_camera(clouds: CloudTopic) -> bool:
+    return bool(_DEPTH_CAMERA.search(clouds.name) or _CAMERA_FRAME.search(clouds.frame))
 
 
 def _by_lidar(topic: str) -> bool:

@@ -45,6 +45,13 @@ def livox_with_fast_lio() -> Layout:
     return layout.odometry("/Odometry", "camera_init", "body")
 
 
+def camera_and_lidar() -> Layout:
+    layout = Layout().raw("/points", "lidar").odometry("/odom", "odom", "lidar")
+    for _ in range(3):
+        layout.raw("/camera/depth/points", "camera_optical", MOUNTED)
+    return layout.transform("lidar", "camera_optical", MOUNTED, moving=False)
+
+
 def late_odometry() -> Layout:
     layout = Layout().raw("/points", "lidar").odometry("/odom", "odom", "lidar")
     layout.rows = [row for row in layout.rows if row[1] != "/odom" or row[0] > START_NS + 3 * PERIOD_NS]
@@ -189,6 +196,8 @@ ROWS = [
     Row("`/tf` alone, `map` -> `odom` jumps", whole(tf_only), "the transforms tell where laser is in odom"),
     Row("Registered clouds alone, with odometry", whole(registered_only), "clouds of /cloud_registered"),
     Row("Two LiDARs on one robot", whole(two_lidars), "not used: /rear/points; --topic chooses"),
+    Row("A LiDAR, and a depth camera at three times its rate", whole(camera_and_lidar),
+        "not used: /camera/depth/points; --topic chooses"),
     Row("Two LiDARs that publish on one topic, each in its frame", whole(alternating),
         "clouds of /points (frames left, right), 8 of 8 with a pose"),
     Row("A path (`nav_msgs/Path`) in place of odometry",
