@@ -23,4 +23,6 @@ for day, T_yard_odom in (("monday", from_yaw(0.0, (-5.0, 0.0, 0.0))), ("tuesday"
 for submap in client.list_submaps(session):
     client.wait(submap.operation)
 for loop in client.loop_closures(town):
-    print(f"{loop.query} is where {loop.match} was, score {loop.score:.2f}", loop.T_match_query.round(2), sep="\n")
+    print(
+        f"{loop.query} is where {loop.match} was, score {loop.score:.2f}", loop.T_match_query.round(2) + 0.0, sep="\n"
+    )

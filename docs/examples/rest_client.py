@@ -17,4 +17,6 @@ for day, T_yard_robot in (("monday", np.eye(4)), ("tuesday", from_yaw(np.radians
     session = client.create_session(town, day)
     client.wait(client.post_submap(session, "start", seen, T_odom_submap=np.eye(4), stamp_ns=1))
 for loop in client.loop_closures(town):
-    print(f"{loop.query} is where {loop.match} was, score {loop.score:.2f}", loop.T_match_query.round(2), sep="\n")
+    print(
+        f"{loop.query} is where {loop.match} was, score {loop.score:.2f}", loop.T_match_query.round(2) + 0.0, sep="\n"
+    )

@@ -5,12 +5,18 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
+import pytest
+from typer.main import get_command
+
+from revisit.cli.app import app
 from revisit.cli.keys import revoke_key
 from revisit.service import VERSION
 from revisit.service.engines.schema import NEWEST_REVISION
 from revisit.service.features.keys.admission import STREAM_ENDS_WITHIN_S, STREAM_RECHECK_S
 from revisit.service.settings import Settings
 
+USERS = ("how-to", "quick-start", "tutorial")
+COMMAND = re.compile(r"(?:^|`)(revisit(?: [a-z][a-z-]*){1,2})(?=[ `\n])", re.MULTILINE)
 ROOT = Path(__file__).resolve().parents[3]
 
 
@@ -49,3 +55,25 @@ def test_the_two_counts_of_keypoints_are_told_apart():
 
 def test_the_schema_that_a_downgrade_names_is_that_of_the_release():
     assert f"The schema of {VERSION} is {NEWEST_REVISION}." in page("reference/stability.md")
+
+
+@pytest.mark.parametrize("path", sorted((ROOT / "docs/how-to").glob("*.md")), ids=lambda path: path.stem)
+def test_a_how_to_is_a_page_of_a_hundred_lines(path):
+    assert len(path.read_text().splitlines()) <= 100
+
+
+def test_each_command_that_a_page_for_users_names_is_one():
+    groups = {("revisit",): get_command(app).commands}
+    groups |= {
+        ("revisit", name): one.commands for name, one in groups[("revisit",)].items() if hasattr(one, "commands")
+    }
+    pages = [ROOT / "README.md", *(file for part in USERS for file in (ROOT / "docs" / part).glob("*.md"))]
+    said = [(path.name, tuple(words.split())) for path in pages for words in COMMAND.findall(path.read_text())]
+    assert len(said) > 100
+    unknown = [
+        (name, words)
+        for name, words in said
+        for group, commands in groups.items()
+        if words[: len(group)] == group and len(words) > len(group) and words[len(group)] not in commands
+    ]
+    assert unknown == []
