@@ -33,6 +33,15 @@ export function headers(accept) {
   return { accept, ...(key ? { authorization: `Bearer ${key}` } : {}) };
 }
 
+/** The answer to a request, whatever it says. */
+async function answered(path, options) {
+  try {
+    return await fetch(path, options);
+  } catch (error) {
+    throw new Error("the service does not answer", { cause: error });
+  }
+}
+
 async function checked(answer) {
   if (answer.ok) return answer;
   const problem = await answer.json().catch(() => ({ detail: `${answer.url} answered ${answer.status}` }));
@@ -41,14 +50,14 @@ async function checked(answer) {
 }
 
 export async function read(path) {
-  const answer = await fetch(path, { headers: headers("application/json"), cache: "no-store" });
+  const answer = await answered(path, { headers: headers("application/json"), cache: "no-store" });
   if (answer.status === 503 && path === "/readyz") return answer.json();
   return (await checked(answer)).json();
 }
 
 /** Ask the service to do something: POST with a JSON body. */
 export async function send(path, body = {}) {
-  const answer = await fetch(path, {
+  const answer = await answered(path, {
     method: "POST",
     headers: { ...headers("application/json"), "content-type": "application/json" },
     body: JSON.stringify(body),
@@ -58,18 +67,18 @@ export async function send(path, body = {}) {
 
 /** Ask the service to keep a file, a Blob: POST with its bytes as body. */
 export async function sendFile(path, file) {
-  const answer = await fetch(path, { method: "POST", headers: { ...headers("application/json"), "content-type": file.type }, body: file });
+  const answer = await answered(path, { method: "POST", headers: { ...headers("application/json"), "content-type": file.type }, body: file });
   return (await checked(answer)).json();
 }
 
 /** Ask the service to delete something. */
 export async function remove(path) {
-  await checked(await fetch(path, { method: "DELETE", headers: headers("application/json") }));
+  await checked(await answered(path, { method: "DELETE", headers: headers("application/json") }));
 }
 
 export async function readFile(path) {
   for (let attempt = 1; ; attempt += 1) {
-    const answer = await fetch(path, { headers: headers("*/*") });
+    const answer = await answered(path, { headers: headers("*/*") });
     if (answer.status !== 503 || attempt === ATTEMPTS) return (await checked(answer)).arrayBuffer();
     await new Promise((resolve) => setTimeout(resolve, 1000 * Number(answer.headers.get("retry-after") ?? 2)));
   }

@@ -317,7 +317,7 @@ function tellEmpty(submaps) {
   if (model.missing) {
     showEmpty(`There is no map ${lastOf(model.missing)}`, "The address of this page names it. It was deleted, or its name is spelt otherwise: the list above has every map there is.");
   } else if (!model.maps.length) {
-    showEmpty("Nothing here yet", "Stream a recording, or let the demonstration drive two simulated robots through a town.", "revisit ingest DIR --map town      a recording\nrevisit demo                       a simulated drive");
+    showEmpty("Nothing here yet", "Stream a recording, or let the demonstration drive two simulated robots through a town.", "# a recording\nrevisit ingest DIR --map town\n\n# two simulated robots\nrevisit demo");
   } else if (!submaps) {
     showEmpty("This map has no submaps yet", "A submap appears once a robot has travelled far enough (10 m by default), or when one is posted. This page shows it at once.", `revisit ingest DIR --map ${lastOf(model.map)}`);
   } else if (!view) {

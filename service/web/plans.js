@@ -52,6 +52,8 @@ export class Plans {
       target.value = "";
       if (file) this.add(file);
     });
+    // Plans make no events: what others put there is read when somebody looks.
+    byId("plans").addEventListener("toggle", ({ target }) => target.open && this.map && this.show(this.map));
   }
 
   /** The plans of a map, or of none. */
@@ -62,7 +64,8 @@ export class Plans {
     const plans = map ? await readAll(`/v1/${map}/plans`, "plans").catch(() => []) : [];
     if (map !== this.map) return;
     this.plans = plans;
-    for (const name of this.pictures.keys()) if (!plans.some((plan) => plan.name === name)) this.drop(name);
+    // A plan that was deleted and made anew under its id has another picture.
+    for (const [name, { made }] of this.pictures) if (!plans.some((plan) => plan.name === name && makeOf(plan) === made)) this.drop(name);
     this.render();
   }
 
@@ -154,23 +157,27 @@ export class Plans {
   /** The decoded picture of a plan; null until it has come, which draws it. */
   pictureOf(plan) {
     if (!this.pictures.has(plan.name)) {
-      this.pictures.set(plan.name, null);
+      this.keep(plan, null);
       this.read(plan).then(() => this.draw(), (error) => this.say(`${titleOf(plan)}: ${inWords(error)}`));
     }
-    return this.pictures.get(plan.name);
+    return this.pictures.get(plan.name).picture;
   }
 
   async read(plan) {
-    const known = this.pictures.get(plan.name);
+    const known = this.pictures.get(plan.name)?.picture;
     if (known) return known;
     const map = this.map;
     const picture = await decoded(await readFile(`/v1/${plan.name}:download`));
-    if (map === this.map) this.pictures.set(plan.name, picture);
+    if (map === this.map) this.keep(plan, picture);
     return picture;
   }
 
+  keep(plan, picture) {
+    this.pictures.set(plan.name, { picture, made: makeOf(plan) });
+  }
+
   drop(name) {
-    this.pictures.get(name)?.image.close();
+    this.pictures.get(name)?.picture?.image.close();
     this.pictures.delete(name);
   }
 
@@ -254,7 +261,7 @@ export class Plans {
     const again = element("button", { type: "button", class: "plain", onclick: () => this.again() }, "Points again");
     const leave = element("button", { type: "button", class: "plain", onclick: () => this.tools.use("none") }, "Cancel");
     return [
-      element("strong", {}, "Does it lie right? Click to move the nearer point."),
+      element("strong", {}, "Click to move the nearer point, or save"),
       draft.isNew && element("div", { class: "actions names" }, name, storey),
       element("div", { class: "actions" }, save, again, leave, said),
     ];
@@ -263,18 +270,18 @@ export class Plans {
   async save(title, storey) {
     const { draft } = this;
     const pins = this.draftPins();
-    let { name } = draft;
+    let plan;
     if (draft.isNew) {
       const id = freeId(title, this.plans);
       const asked = new URLSearchParams({ plan_id: id, display_name: title, ...(storey ? { storey } : {}) });
       for (const { pixel_x, pixel_y, x_m, y_m } of pins) asked.append("pins", [pixel_x, pixel_y, x_m, y_m].join(","));
-      name = (await sendFile(`/v1/${this.map}/plans?${asked}`, draft.picture.file)).name;
-    } else await send(`/v1/${name}:pin`, { pins });
-    this.pictures.set(name, draft.picture);
+      plan = await sendFile(`/v1/${this.map}/plans?${asked}`, draft.picture.file);
+    } else plan = await send(`/v1/${draft.name}:pin`, { pins });
+    this.keep(plan, draft.picture);
     this.draft = null;
     this.tools.use("none");
     await this.show(this.map);
-    const saved = this.plans.find((plan) => plan.name === name);
+    const saved = this.plans.find(({ name }) => name === plan.name);
     if (saved) this.choose(saved, { shown: true });
     this.render();
   }
@@ -296,6 +303,8 @@ export class Plans {
     byId("plans-said").textContent = text;
   }
 }
+
+const makeOf = (plan) => [plan.created_at_ns, plan.size_bytes, plan.width_px, plan.height_px].join();
 
 const titleOf = (plan) => plan.display_name || lastOf(plan.name);
 

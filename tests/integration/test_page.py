@@ -686,6 +686,11 @@ def test_a_picture_is_put_underneath_by_two_points_pinned_anew_and_deleted(chrom
         tab.locator("#plan-save").click()
         tab.locator("#told").wait_for(state="hidden")
         assert abs(client.plans.get(made).turn_rad) == pytest.approx(np.pi, abs=0.05)
+        client.plans.delete(made)
+        client.plans.create(town, "b-Hall-b", a_png(60, 45), [((0, 0), (0.0, 0.0)), ((60, 45), (20.0, 9.0))])
+        for _ in range(2):  # who looks at the list sees the picture that is there now
+            tab.locator("#plans summary").click()
+        eventually(lambda: tab.evaluate("revisitPage.view().plans.children[0]?.material.map.image.width") == 60)
         row.get_by_role("button", name="delete").click()
         shown.until("drawn-plans", 0)
         assert client.plans.list(town) == []

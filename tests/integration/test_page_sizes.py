@@ -10,6 +10,7 @@ from revisit import Client
 from tests.support.browser import Page, browser
 from tests.support.live_service import live_service
 from tests.support.page_town import EACH_BY_ITSELF, fill
+from tests.support.service_world import cloud_points, pose
 
 PHONE, TABLET, LAPTOP = (390, 844), (820, 1180), (1440, 900)
 TOUCHED = (PHONE, TABLET)
@@ -54,10 +55,10 @@ def phone(chromium, service):
     yield from opened_in(chromium, service, PHONE)
 
 
-def opened_in(chromium, service, size):
+def opened_in(chromium, service, size, path="/"):
     """The page in a window of this size, on a device with a touch screen where it is a small one."""
     held = {"is_mobile": size in TOUCHED, "has_touch": size in TOUCHED}
-    shown = Page(chromium, service.http, "/", viewport={"width": size[0], "height": size[1]}, **held)
+    shown = Page(chromium, service.http, path, viewport={"width": size[0], "height": size[1]}, **held)
     shown.drawn()
     yield shown
     shown.tab.close()
@@ -67,6 +68,11 @@ def outside(page, root="body"):
     """What of `root` lies to the left or right of the window."""
     width = page.tab.viewport_size["width"]
     return [box for box in page.tab.evaluate(EVERY_BOX, root) if box[1] < -1 or box[3] > width + 1]
+
+
+def shown_outside(page, root="body"):
+    """What of `root` lies to the left or right of the window, but for names that end in an ellipsis."""
+    return [box for box in outside(page, root) if box[0] != "EM"]
 
 
 def box_of(page, selector):
@@ -172,6 +178,24 @@ def test_the_tools_leave_most_of_the_drawing_free(page):
 def test_both_ends_of_every_loop_closure_can_be_read_in_the_list(page):
     assert page.tab.locator("#loops .end").count() == 10
     assert page.tab.evaluate(CUT) == 0
+
+
+@pytest.mark.parametrize("size", [pytest.param(PHONE, marks=pytest.mark.slow), LAPTOP], ids=["phone", "laptop"])
+def test_names_of_the_greatest_length_cover_and_leave_nothing(size, chromium, service):
+    with Client(service.http) as client:
+        named = client.create_map("m" * 64, display_name="A hall of a name " * 15)
+        for session_id in ("a" * 64, "b" * 64):
+            session = client.create_session(named, session_id)
+            client.wait(client.post_submap(session, "s" * 64, cloud_points(5), pose(0.0), 1))
+    for page in opened_in(chromium, service, size, f"/#{named.name}"):
+        assert on_each_other(page, ".pick", "#health", "#theme") == []
+        assert size == PHONE or on_each_other(page, ".pick", "#figures", "#health") == []
+        assert fits(page) and shown_outside(page) == []
+        page.tab.locator("#loops button").first.click()
+        page.tab.wait_for_function("revisitPage.pair.query.children.length === 1")
+        assert fits(page) and shown_outside(page, "#pair") == []
+        assert on_each_other(page, ".pane-name.query", ".pane-name.both") == []
+        assert box_of(page, "#pair-close")[2] < box_of(page, "#pair")[2]
 
 
 @pytest.mark.slow
