@@ -9,11 +9,14 @@ import numpy as np
 import pytest
 
 from revisit.core.errors import DataLoss
+from revisit.core.index import FaissIndex
 from revisit.core.radio import RadioFingerprint
 from revisit.service.domain.identity import SessionKey
 from revisit.service.domain.states import OperationState, SubmapState
+from revisit.service.engines.local.vector_index import PlaceVectorIndex
 from revisit.service.features.graph.anchor_verdicts import anchor_verdicts
 from revisit.service.features.graph.session_poses import PackedSubmaps, unpack_loops
+from revisit.service.features.index.keeping import IndexHealth
 from revisit.service.features.operations.claiming import JobClaims
 from revisit.service.features.resources.paging import PageRequest
 from revisit.service.features.webhooks.calls import CreateWebhook
@@ -179,3 +182,20 @@ async def test_retention_goes_on_beside_a_damaged_map(world, tmp_path):
     await world.context.retention.all()
     assert stored_seqs(world, SessionKey("two", "monday")) == []
     assert stored_seqs(world, SessionKey("one", "monday")) != []
+
+
+async def test_a_service_starts_beside_a_damaged_map(world, tmp_path):
+    for map_id in ("one", "two"):
+        await open_session(world, SessionKey(map_id, "monday"))
+        await world.use_cases.posting.post(TENANT, submap("a", 1, SessionKey(map_id, "monday")))
+    world.work_off()
+    run(tmp_path / DATABASE, "UPDATE submaps SET position_m = 'x' WHERE map_id = 'one'")
+    index, health = PlaceVectorIndex(FaissIndex), IndexHealth()
+    await replace(world.context, index=index, index_health=health).index_keeper().load()
+    numbers = {record.map_id: record.number for record in world.context.transactions.read(every_map).result()}
+    assert not health.loading
+    assert (index.size(numbers["one"]), index.size(numbers["two"])) == (0, 1)
+
+
+def every_map(uow):
+    return uow.maps.find(TENANT)

@@ -11,6 +11,7 @@ from functools import partial
 
 import structlog
 
+from revisit.core.errors import DataLoss
 from revisit.service.domain.errors import NotFound
 from revisit.service.domain.records import MapRecord, SubmapRecord
 from revisit.service.domain.states import SubmapState
@@ -69,13 +70,19 @@ class IndexKeeper:
         health.loading = True
 
     async def load(self) -> None:
-        """Bring the index of every map up to the database; nothing once that was done."""
+        """Bring the index of every map up to the database; nothing once that was done.
+
+        A map with damaged rows is passed over.
+        """
         if not self._health.loading:
             return
         began_s = time.perf_counter()
         maps = await self._storage.read(lambda uow: uow.maps.of_all_tenants())
         for record in filter(self._is_held, maps):
-            await asyncio.to_thread(self._caught_up.catch_up, record.tenant, record.number)
+            try:
+                await asyncio.to_thread(self._caught_up.catch_up, record.tenant, record.number)
+            except DataLoss as error:  # as searches in this map will be told
+                log.error("index_not_loaded", tenant=record.tenant, map=record.map_id, reason=error.message)
         await self._keep_named_files()
         self._health.loading = False
         submaps = sum(self._index.size(record.number) for record in maps)
