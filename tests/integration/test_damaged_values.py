@@ -199,3 +199,15 @@ async def test_a_service_starts_beside_a_damaged_map(world, tmp_path):
 
 def every_map(uow):
     return uow.maps.find(TENANT)
+
+
+async def test_a_job_whose_submap_is_damaged_ends_and_keeps_nobody_from_theirs(world, tmp_path):
+    await open_session(world)
+    first = await world.use_cases.posting.post(TENANT, submap("a", 1))
+    run(tmp_path / DATABASE, "UPDATE submaps SET position_m = 'x' WHERE submap_id = 'a'")
+    lease = claims(world).next()
+    assert lease is not None
+    world.worker().run(lease)
+    ended = await world.use_cases.operations.get(TENANT, first.operation.operation_id)
+    assert (ended.state, ended.failure_code) == (OperationState.FAILED, "DATA_LOSS")
+    assert claims(world).next() is None

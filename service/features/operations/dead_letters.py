@@ -9,7 +9,9 @@ from __future__ import annotations
 from dataclasses import replace
 from functools import partial
 
-from revisit.core.errors import BadField
+import structlog
+
+from revisit.core.errors import BadField, DataLoss
 from revisit.service.capacity.backlog import QUERIES, Backlog
 from revisit.service.domain.errors import NotFound
 from revisit.service.domain.identity import SubmapKey, TenantId
@@ -19,6 +21,8 @@ from revisit.service.features.loops.waiting import accept_decided
 from revisit.service.features.resources.call_context import CallContext
 from revisit.service.ports.storage import require_job, require_map
 from revisit.service.ports.transactions import UnitOfWork
+
+log = structlog.get_logger(__name__)
 
 
 class DeadLetters:
@@ -66,8 +70,15 @@ class DeadLetters:
 
 
 def mark_subject_failed(uow: UnitOfWork, job: JobRecord, code: str, message: str) -> None:
-    """Mark the submap as failed: its description has failed for good. It leaves its map, if it has entered it."""
-    submap = _subject(uow, job) if job.kind == OperationKind.DESCRIBE_SUBMAP else None
+    """Mark the submap as failed: its description has failed for good. It leaves its map, if it has entered it.
+
+    A submap whose row is damaged stays as it is: the job ends all the same.
+    """
+    try:
+        submap = _subject(uow, job) if job.kind == OperationKind.DESCRIBE_SUBMAP else None
+    except DataLoss as error:
+        log.error("subject_damaged", operation=job.operation_id, subject=job.subject, reason=error.message)
+        return
     if submap is None:
         return
     if submap.state == SubmapState.DESCRIBED:
