@@ -12,12 +12,14 @@ from numpy.typing import NDArray
 
 from revisit.core.geometry import geodesy, se3
 from revisit.core.geometry.se3 import pose_matrix, pose_row
-from revisit.core.pose_graph.anchors import AnchoredSession, Heading
+from revisit.core.pose_graph.anchors import Anchor, AnchoredSession, Heading
+from revisit.core.pose_graph.anchors_against_loops import refuted_by_anchors
+from revisit.core.pose_graph.graph import LoopEdge, Node
 from revisit.service.domain.identity import TenantId
 from revisit.service.domain.records import AnchorRecord, MapRecord
 from revisit.service.domain.states import AnchorFrame
 from revisit.service.features.graph.map_frames import frame_name
-from revisit.service.ports.map_optimiser import GEOREFERENCES, SESSIONS, FrameOnEarth, TrackAnchor
+from revisit.service.ports.map_optimiser import GEOREFERENCES, SESSIONS, FrameOnEarth, MapGraph, TrackAnchor
 from revisit.service.ports.repositories import PlacedSubmap
 from revisit.service.ports.storage import require_map
 from revisit.service.ports.transactions import UnitOfWork
@@ -26,6 +28,9 @@ Array64 = NDArray[np.float64]
 
 ONE_SITE_M = 100_000.0
 """Anchors of one site are not farther from most of them."""
+
+ANCHORS_DISAGREE = "ANCHORS_DISAGREE"
+"""Why a loop that anchors speak against is set aside, as its event has it."""
 
 FIRST_ANCHORS = 200
 """So many are looked at for an origin: as many as a request has."""
@@ -131,6 +136,26 @@ def track_anchor(row: AnchorRecord, place: Array64, submap: PlacedSubmap) -> Tra
         heading = Heading(T_submap_sensor[:3, 0], row.heading_rad, row.heading_sigma_rad)
     point = se3.apply(T_submap_sensor, np.array([row.offset_m]))[0]
     return TrackAnchor(row.number, submap.number, point, place, np.reshape(row.covariance, (3, 3)), heading)
+
+
+def loops_against(graph: MapGraph, fixed: Sequence[TrackAnchor]) -> dict[int, str]:
+    """The loops of a graph that anchors speak against, by number, each with the reason."""
+    if not fixed:
+        return {}
+    nodes = {
+        number: Node(str(track.session_number), place)
+        for track in graph.tracks
+        for place, number in enumerate(track.submaps)
+    }
+    drives = {str(track.session_number): track.T_odom_submap for track in graph.tracks}
+    unread = np.eye(6)  # the covariance of a loop says nothing here
+    loops = [
+        LoopEdge(str(one.number), nodes[one.match], nodes[one.query], one.T_match_query, unread) for one in graph.loops
+    ]
+    anchors = [
+        Anchor(str(one.number), nodes[one.submap], one.point_submap, one.place_enu, one.covariance) for one in fixed
+    ]
+    return dict.fromkeys(sorted(map(int, refuted_by_anchors(drives, loops, anchors))), ANCHORS_DISAGREE)
 
 
 def stored_frames(frames: Iterable[FrameOnEarth], names: Mapping[int, str]) -> list[dict[str, Any]]:

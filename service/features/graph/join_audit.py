@@ -13,6 +13,7 @@ from revisit.core.merge.evidence import MergeEvidence, MergeRefusal, surfaces_re
 from revisit.core.pose_graph.faults import OdometryFault
 from revisit.core.pose_graph.graph import GraphState
 from revisit.service.domain.identity import TenantId
+from revisit.service.features.graph.anchors import loops_against
 from revisit.service.features.graph.fault_audit import Placed, decided
 from revisit.service.features.graph.reading import MapTask
 from revisit.service.features.graph.released_maps import released_maps
@@ -104,8 +105,9 @@ class JoinAudit:
         """The solution by some anchors; `by_loops` keeps those without any, by the loops that are refused."""
         refused: tuple[RefusedJoin, ...] = ()
         undecided: tuple[OdometryFault, ...] = ()
+        against = loops_against(task.graph, fixed)
         while True:
-            loops = dict(loops_between(task, refused))
+            loops = against | dict(loops_between(task, refused))
             key = frozenset(loops.items())
             if key not in by_loops:
                 by_loops[key] = self._optimiser.by_loops(replace(task.graph, refused=loops), progress)

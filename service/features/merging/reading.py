@@ -15,6 +15,7 @@ from revisit.service.domain.identity import TenantId
 from revisit.service.domain.policy import Policy
 from revisit.service.domain.records import LoopRecord, MapRecord, SessionRecord, SubmapRecord
 from revisit.service.domain.states import SubmapState
+from revisit.service.features.graph.anchors import loops_against
 from revisit.service.features.graph.join_audit import loops_between
 from revisit.service.features.graph.map_frames import frame_name
 from revisit.service.features.graph.reading import MapTask, read_task
@@ -93,6 +94,12 @@ class MapSide:
     refused: tuple[RefusedJoin, ...] = ()
 
     @property
+    def refused_loops(self) -> dict[int, str]:
+        """Loops within it that count for nothing, by number, each with the reason."""
+        graph = self.task.graph
+        return loops_against(graph, graph.fixed) | dict(loops_between(self.task, self.refused))
+
+    @property
     def places(self) -> DescribedPlaces:
         """The descriptors, for the search for candidates. Raises DataLoss where one is damaged."""
         rows = [np.frombuffer(require_descriptor(one), dtype="<f4") for one in self.submaps]
@@ -112,13 +119,13 @@ class MergeTask:
         """Both with the loops between them; the map that grows gives the frame, and its anchors hold it."""
         first, second = self.target.task.graph, self.source.task.graph
         anchors = [*sorted(self.target.sessions), *sorted(self.source.sessions)]
-        refused = (loops_between(one.task, one.refused) for one in (self.target, self.source))
+        refused = (one.refused_loops for one in (self.target, self.source))
         return replace(
             first,
             tracks=first.tracks + second.tracks,
             loops=first.loops + second.loops + crossing,
             anchors=tuple(anchors),
-            refused=dict(chain.from_iterable(refused)),
+            refused=dict(chain.from_iterable(one.items() for one in refused)),
         )
 
 

@@ -1,0 +1,97 @@
+"""Anchors refute loops between twins; receivers that err refute none."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from revisit.core.geometry import se3
+from revisit.core.pose_graph.anchors import Anchor
+from revisit.core.pose_graph.anchors_against_loops import refuted_by_anchors
+from revisit.core.pose_graph.graph import LoopEdge, Node
+
+STEP_M, SUBMAPS = 5.0, 40
+RANDOM = np.random.default_rng(7)
+
+
+def drive(turn: float = 0.0) -> np.ndarray:
+    """A straight drive in an odometry frame of its own."""
+    return np.stack(
+        [se3.from_yaw(turn, tuple(se3.from_yaw(turn)[:3, :3] @ (STEP_M * n, 0.0, 0.0))) for n in range(SUBMAPS)]
+    )
+
+
+def fixes(session, at, sigma=1.5, ordinals=range(SUBMAPS), noise=1.5):
+    """Fixes of a straight drive to the east; `at` (2,) or by ordinal is where its frame lies."""
+    found = []
+    for n in ordinals:
+        shift = np.asarray(at(n) if callable(at) else at, dtype=float)
+        place = np.append(shift + (STEP_M * n, 0.0) + RANDOM.normal(0.0, noise, 2), 3.0)
+        found.append(Anchor(f"{session}:{n}", Node(session, n), np.zeros(3), place, np.diag([sigma**2, sigma**2, 9.0])))
+    return found
+
+
+def loops(ordinals=range(0, SUBMAPS, 2), shift=0, name=""):
+    """Loops that put submap n of `b` on submap n + shift of `a`, half a metre beside it, turned by 0.3 rad."""
+    T = se3.from_yaw(0.3, (0.4, 0.3, 0.0))
+    return [LoopEdge(f"{name}{n}", Node("a", n + shift), Node("b", n), T, np.eye(6)) for n in ordinals]
+
+
+DRIVES = {"a": drive(), "b": drive(1.0)}
+SAME, TWIN = (0.0, 0.6), (0.0, 260.0)
+
+
+def refuted(a, b, some=None):
+    return refuted_by_anchors(DRIVES, loops() if some is None else some, [*a, *b])
+
+
+def test_a_twin_far_away_is_refuted_by_fixes_of_two_metres():
+    some = loops()
+    assert refuted(fixes("a", SAME), fixes("b", TWIN), some) == {one.name for one in some}
+
+
+def test_loops_of_the_same_place_stay():
+    assert refuted(fixes("a", SAME), fixes("b", SAME)) == set()
+
+
+@pytest.mark.parametrize("wrong_m", [6.0, 60.0, 90.0])
+def test_a_base_station_in_the_wrong_place_refutes_nothing(wrong_m):
+    assert refuted(fixes("a", SAME), fixes("b", (0.0, wrong_m))) == set()
+
+
+@pytest.mark.parametrize("apart_m", [70.0, 120.0, 140.0])
+def test_a_twin_nearby_is_refuted_where_the_receivers_agree_elsewhere(apart_m):
+    """Submaps of `b` look as those of `a` do `apart_m` further along, too."""
+    ahead = round(apart_m / STEP_M)
+    false = loops(range(5, SUBMAPS - ahead), ahead, "false")
+    assert refuted(fixes("a", SAME), fixes("b", SAME), false if apart_m > 130 else [*loops(range(12)), *false]) == {
+        one.name for one in false
+    }
+
+
+def test_reflections_of_a_street_refute_nothing():
+    def reflected(n):
+        return (0.0, 44.0 if 10 <= n < 22 else 0.0)
+
+    assert refuted(fixes("a", SAME), fixes("b", reflected)) == set()
+
+
+def test_jumps_of_a_fifth_of_the_fixes_refute_nothing_and_hide_no_twin():
+    def jumps(base):
+        return lambda n: np.add(base, (130.0, 30.0) if n % 5 == 0 else (0.0, 0.0))
+
+    assert refuted(fixes("a", SAME), fixes("b", jumps(SAME))) == set()
+    assert len(refuted(fixes("a", SAME), fixes("b", jumps(TWIN)))) >= 18
+
+
+@pytest.mark.parametrize("ordinals", [[], [3], [3, 30]])
+def test_too_few_anchors_say_nothing(ordinals):
+    assert refuted(fixes("a", SAME), fixes("b", TWIN, ordinals=ordinals)) == set()
+
+
+def test_fixes_that_state_a_large_error_say_nothing():
+    assert refuted(fixes("a", SAME), fixes("b", TWIN, sigma=50.0)) == set()
+
+
+def test_a_receiver_without_a_fix_says_nothing():
+    assert refuted(fixes("a", SAME), fixes("b", lambda n: (5e6, 3e6) if n < 25 else SAME)) == set()
