@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
 
 from revisit.core.config import PipelineConfig, Profile
+from revisit.core.errors import BadField, DataLoss
 from revisit.core.profiles import profile_config
 from revisit.service.domain.records import MapRecord
 from revisit.service.domain.retention import KEEPS_ALL, RetentionPolicy, parsed
@@ -39,8 +40,14 @@ class Policy:
     retention: RetentionPolicy = KEEPS_ALL
 
     def kept_of(self, record: MapRecord) -> RetentionPolicy:
-        """What a map keeps, by its own policy of retention or by that of the service."""
-        return self.retention if record.retention is None else parsed(record.retention)
+        """What a map keeps, by its own policy of retention or by that of the service.
+
+        Raises DataLoss where the stored policy is none.
+        """
+        try:
+            return self.retention if record.retention is None else parsed(record.retention)
+        except BadField as error:
+            raise DataLoss(f"the policy of retention of map {record.map_id!r} is damaged"[:200]) from error
 
     def for_map(self, record: MapRecord) -> PipelineConfig:
         """The parameters of the method in the profile of the map, with its overrides."""

@@ -43,6 +43,12 @@ class RowReader(Protocol[R]):
         """How many records `find` would give."""
         ...
 
+    def damaged(self, tenant: TenantId, **equals: str | int | None) -> list[int]:
+        """The numbers of records that `find` would give, whose rows are not as they were written; none where the store
+        keeps no checksums of rows.
+        """
+        ...
+
 
 class RowWriter(Protocol[R]):
     """Adds, changes and deletes records of one kind."""

@@ -67,6 +67,7 @@ CALLS = {
     "SqlRepository.numbered": lambda uow: uow.submaps.numbered(TENANT, [1, 2]),
     "SqlRepository.distinct": lambda uow: uow.submaps.distinct(TENANT, "cloud_sha256", map_id="town"),
     "SqlRepository.count": lambda uow: uow.submaps.count(TENANT, state="QUEUED"),
+    "SqlRepository.damaged": lambda uow: uow.maps.damaged(TENANT, map_id="town"),
     "SqlRepository.count_of_all_tenants": lambda uow: uow.jobs.count_of_all_tenants(state="QUEUED"),
     "SqlRepository.of_all_tenants": lambda uow: uow.maps.of_all_tenants(limit=5),
     "SqlRepository.replace": lambda uow: uow.maps.replace(uow.maps.get(TENANT, "town")),

@@ -12,13 +12,16 @@ from revisit.core.errors import DataLoss
 from revisit.core.index import FaissIndex
 from revisit.core.radio import RadioFingerprint
 from revisit.service.domain.identity import SessionKey
+from revisit.service.domain.retention import DAY_NS
 from revisit.service.domain.states import OperationState, SubmapState
 from revisit.service.engines.local.vector_index import PlaceVectorIndex
 from revisit.service.features.graph.anchor_verdicts import anchor_verdicts
 from revisit.service.features.graph.session_poses import PackedSubmaps, unpack_loops
+from revisit.service.features.index import keeping
 from revisit.service.features.index.keeping import IndexHealth
 from revisit.service.features.operations.claiming import JobClaims
 from revisit.service.features.resources.paging import PageRequest
+from revisit.service.features.retention import run as retention_run
 from revisit.service.features.webhooks.calls import CreateWebhook
 from tests.support.records import a_loop, a_map, a_session, a_submap
 from tests.support.retained import driven, policy_set, stored_seqs
@@ -26,6 +29,9 @@ from tests.support.service_world import SESSION, TENANT, World, open_session, sq
 from tests.support.stored_rows import run
 
 DATABASE = "revisit.db"
+
+NO_TEXT = "{} = CAST(x'ff' AS TEXT)"
+"""One flipped bit in eight of a text makes it none."""
 
 
 @pytest.fixture
@@ -40,7 +46,9 @@ def claims(world: World) -> JobClaims:
     return JobClaims(context.transactions, context.disk, context.blob_outage, "w1")
 
 
-@pytest.mark.parametrize("damage", ["payload = substr(payload, 2)", "subject = CAST(subject AS BLOB)"])
+@pytest.mark.parametrize(
+    "damage", ["payload = substr(payload, 2)", "subject = CAST(subject AS BLOB)", NO_TEXT.format("subject")]
+)
 async def test_a_damaged_job_fails_with_its_submap_and_the_next_one_runs(world, tmp_path, damage):
     await open_session(world)
     first = await world.use_cases.posting.post(TENANT, submap("a", 1))
@@ -56,7 +64,7 @@ async def test_a_damaged_job_fails_with_its_submap_and_the_next_one_runs(world, 
         assert (ended.state, ended.failure_code) == (OperationState.FAILED, "DATA_LOSS")
         assert states["a"] == SubmapState.FAILED
     else:
-        with pytest.raises(DataLoss, match="row 1 of jobs is damaged: subject"):
+        with pytest.raises(DataLoss, match=r"row 1 of jobs is damaged: subject|Could not decode"):
             await world.use_cases.operations.get(TENANT, first.operation.operation_id)
 
 
@@ -150,19 +158,30 @@ async def listed(world: World):
     return (await world.use_cases.submaps.list(TENANT, SESSION, PageRequest())).items
 
 
+@pytest.mark.parametrize("damage", ["profile = CAST(profile AS BLOB)", NO_TEXT.format("display_name")])
 @pytest.mark.parametrize("limit", [None, 1])
-def test_what_is_done_for_all_tenants_goes_on_beside_a_damaged_map(world, tmp_path, limit):
+def test_what_is_done_for_all_tenants_goes_on_beside_a_damaged_map(world, tmp_path, limit, damage):
     store = world.context.transactions
     for map_id in ("one", "two", "three"):
         store.write(lambda uow, map_id=map_id: uow.maps.add(replace(a_map(), map_id=map_id))).result()
-    run(tmp_path / DATABASE, "UPDATE maps SET profile = CAST(profile AS BLOB) WHERE map_id = 'two'")
+    run(tmp_path / DATABASE, f"UPDATE maps SET {damage} WHERE map_id = 'two'")
     run(tmp_path / DATABASE, "UPDATE maps SET origin = '[' WHERE map_id = 'one'")
     found = store.read(lambda uow: uow.maps.of_all_tenants(limit=limit)).result()
     assert [record.map_id for record in found] == ["three"]
     assert not store.read(lambda uow: uow.maps.of_all_tenants(after=found[-1].number, limit=limit)).result()
 
 
-async def test_webhooks_of_others_are_told_beside_a_damaged_one(world, tmp_path):
+def test_a_change_of_a_row_with_a_damaged_text_is_data_loss(world, tmp_path):
+    store = world.context.transactions
+    store.write(lambda uow: uow.maps.add(a_map())).result()
+    (record,) = store.read(lambda uow: uow.maps.find(TENANT)).result()
+    run(tmp_path / DATABASE, f"UPDATE maps SET {NO_TEXT.format('display_name')}")
+    with pytest.raises(DataLoss):
+        store.write(lambda uow: uow.maps.revise([record], index_file="x")).result()
+
+
+@pytest.mark.parametrize("damage", ["kinds = 'x'", NO_TEXT.format("url")])
+async def test_webhooks_of_others_are_told_beside_a_damaged_one(world, tmp_path, damage):
     await open_session(world)
     for webhook_id in ("first", "second"):
         await world.use_cases.webhooks.create(TENANT, CreateWebhook(webhook_id, "https://example.org/x"))
@@ -170,7 +189,7 @@ async def test_webhooks_of_others_are_told_beside_a_damaged_one(world, tmp_path)
     world.work_off()
     due = partial(world.context.transactions.read, lambda uow: uow.webhooks.due(2**62))
     assert [one.webhook_id for one in due().result()] == ["first", "second"]
-    run(tmp_path / DATABASE, "UPDATE webhooks SET kinds = 'x' WHERE webhook_id = 'first'")
+    run(tmp_path / DATABASE, f"UPDATE webhooks SET {damage} WHERE webhook_id = 'first'")
     assert [one.webhook_id for one in due().result()] == ["second"]
 
 
@@ -182,6 +201,68 @@ async def test_retention_goes_on_beside_a_damaged_map(world, tmp_path):
     await world.context.retention.all()
     assert stored_seqs(world, SessionKey("two", "monday")) == []
     assert stored_seqs(world, SessionKey("one", "monday")) != []
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        "UPDATE maps SET retention = 'scans=14h' WHERE map_id = 'one'",
+        "UPDATE maps SET retention = 'scans=y4h' WHERE map_id = 'one'",
+        "UPDATE sessions SET finished_at_ns = finished_at_ns + 1 WHERE map_id = 'one'",
+    ],
+)
+async def test_retention_removes_nothing_by_a_damaged_policy_and_goes_on_with_others(world, tmp_path, change):
+    for map_id in ("one", "two"):
+        await driven(world, 20, SessionKey(map_id, "monday"))
+        await policy_set(world, "scans=24h", map_id)
+    run(tmp_path / DATABASE, change)
+    in_two_days_ns = world.context.clock.wall_ns() + 2 * DAY_NS
+    await world.context.retention.all(in_two_days_ns)
+    assert stored_seqs(world, SessionKey("two", "monday")) == []
+    assert stored_seqs(world, SessionKey("one", "monday")) != []
+
+
+async def test_a_damaged_policy_is_data_loss_to_who_asks_for_it(world, tmp_path):
+    await open_session(world)
+    await policy_set(world, "scans=24h")
+    run(tmp_path / DATABASE, "UPDATE maps SET retention = 'scans=y4h'")
+    with pytest.raises(DataLoss):
+        await world.use_cases.retention.get(TENANT, SESSION.map_id)
+
+
+async def test_retention_reaches_the_maps_behind_a_damaged_one(world, tmp_path, monkeypatch):
+    await driven(world, 20, SessionKey("one", "monday"))
+    for map_id in ("two", "three"):
+        await driven(world, 20, SessionKey(map_id, "monday"))
+        await policy_set(world, "scans=none", map_id)
+    run(tmp_path / DATABASE, "UPDATE maps SET profile = CAST(profile AS BLOB) WHERE map_id = 'one'")
+    monkeypatch.setattr(retention_run, "MAPS_A_PAGE", 2)
+    await world.context.retention.all()
+    assert [stored_seqs(world, SessionKey(map_id, "monday")) for map_id in ("two", "three")] == [[], []]
+
+
+async def test_an_audit_reaches_the_maps_behind_damaged_ones(world, tmp_path, monkeypatch):
+    for map_id in ("one", "two", "three"):
+        await open_session(world, SessionKey(map_id, "monday"))
+        await world.use_cases.posting.post(TENANT, submap("a", 1, SessionKey(map_id, "monday")))
+    world.work_off()
+    index = PlaceVectorIndex(FaissIndex)
+    keeper = replace(world.context, index=index).index_keeper()
+    await keeper.load()
+    run(tmp_path / DATABASE, "UPDATE maps SET profile = CAST(profile AS BLOB) WHERE map_id = 'one'")
+    run(tmp_path / DATABASE, "UPDATE submaps SET position_m = 'x' WHERE map_id = 'two'")
+    monkeypatch.setattr(keeping, "MAPS", 2)
+    number = world.context.transactions.read(lambda uow: uow.maps.get(TENANT, "three")).result().number
+    for _ in range(2):
+        lose_all(index, number)
+        assert sum([await keeper.audit() for _ in range(2)]) == 1
+
+
+def lose_all(index: PlaceVectorIndex, map_number: int) -> None:
+    """Drift: the index holds nothing of a map, and takes itself for up to date."""
+    seq, _ = index.numbers(map_number)
+    index.drop(map_number)
+    index._of(map_number).seq = seq
 
 
 async def test_a_service_starts_beside_a_damaged_map(world, tmp_path):

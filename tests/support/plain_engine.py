@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import threading
 from concurrent.futures import Future
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 
-from sqlalchemy import Connection, Engine, Integer, MetaData, Table, create_engine, text
+from sqlalchemy import Connection, Engine, Integer, MetaData, Table, create_engine, text, update
 from sqlalchemy.pool import StaticPool
 
 from revisit.service.engines.local.clock import SystemClock
@@ -40,6 +40,18 @@ class PlainEngine:
     def is_duplicate(self, error) -> bool:
         """See `DatabaseEngine`."""
         return error.orig.sqlite_errorname == "SQLITE_CONSTRAINT_UNIQUE"
+
+    def any_text(self, connection):
+        """See `DatabaseEngine`."""
+        return nullcontext()
+
+    def overwrite(self, connection, table, number, values) -> None:
+        """See `DatabaseEngine`."""
+        connection.execute(update(table).where(table.c.number == number).values(**values))
+
+    def damaged_rows(self, connection, table, numbers) -> list[int]:
+        """See `DatabaseEngine`."""
+        return []
 
 
 class PlainTransactions:

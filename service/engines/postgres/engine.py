@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractContextManager, nullcontext
+from typing import Any
 
-from sqlalchemy import Connection, Table, func, select, text
+from sqlalchemy import Connection, Table, func, select, text, update
 from sqlalchemy.exc import IntegrityError
 
 UNIQUE_VIOLATION = "23505"
@@ -46,3 +48,15 @@ class PostgresEngine:
     def is_duplicate(self, error: IntegrityError) -> bool:
         """See `DatabaseEngine`."""
         return getattr(error.orig, "sqlstate", None) == UNIQUE_VIOLATION
+
+    def any_text(self, connection: Connection) -> AbstractContextManager[None]:
+        """See `DatabaseEngine`: the server hands out no text that is none."""
+        return nullcontext()
+
+    def overwrite(self, connection: Connection, table: Table, number: int, values: Mapping[str, Any]) -> None:
+        """See `DatabaseEngine`."""
+        connection.execute(update(table).where(table.c.number == number).values(**values))
+
+    def damaged_rows(self, connection: Connection, table: Table, numbers: Sequence[int]) -> list[int]:
+        """See `DatabaseEngine`: a damaged page is an error of its reader."""
+        return []

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Protocol
+from collections.abc import Mapping, Sequence
+from contextlib import AbstractContextManager
+from typing import Any, Protocol
 
 from sqlalchemy import Connection, Table
 from sqlalchemy.exc import IntegrityError
@@ -35,4 +37,16 @@ class DatabaseEngine(Protocol):
 
     def is_duplicate(self, error: IntegrityError) -> bool:
         """Whether a row was refused because its unique key is taken, and not because its parent is missing."""
+        ...
+
+    def any_text(self, connection: Connection) -> AbstractContextManager[None]:
+        """Within the block a damaged text is read as bytes, so that the rows beside it can be read."""
+        ...
+
+    def overwrite(self, connection: Connection, table: Table, number: int, values: Mapping[str, Any]) -> None:
+        """Change a damaged row, whatever is in it; it stays known as damaged."""
+        ...
+
+    def damaged_rows(self, connection: Connection, table: Table, numbers: Sequence[int]) -> list[int]:
+        """Those of these rows that are not as they were written; none where the server itself looks at each reading."""
         ...

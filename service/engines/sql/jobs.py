@@ -17,7 +17,6 @@ from sqlalchemy import (
     or_,
     select,
     text,
-    update,
 )
 
 from revisit.service.domain.identity import TenantId
@@ -54,7 +53,7 @@ class SqlJobs(SqlRepository[JobRecord]):
             "failure_message": message,
         }
         for its in damaged:
-            self._connection.execute(update(tables.jobs).where(number == its).values(**ended, **lost))
+            self._engine.overwrite(self._connection, tables.jobs, its, {**ended, **lost})
         mended = select(tables.jobs).where(number.in_(damaged))
         return self._readable(self._connection.execute(mended))
 

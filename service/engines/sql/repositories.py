@@ -143,6 +143,11 @@ class SqlRepository(Generic[R]):
         asked = of_tenant(tenant, equals)
         return int(self._connection.execute(self._count_where(asked), asked).scalar_one())
 
+    def damaged(self, tenant: TenantId, **equals: Scalar) -> list[int]:
+        """See `Repository`."""
+        numbers = sorted(self.distinct(tenant, "number", **equals))
+        return self._engine.damaged_rows(self._connection, self._table, numbers)
+
     def count_of_all_tenants(self, **equals: Scalar) -> int:
         """See `Repository`."""
         return int(self._connection.execute(self._count_where(equals), equals).scalar_one())
@@ -150,7 +155,8 @@ class SqlRepository(Generic[R]):
     def of_all_tenants(self, *, after: int = 0, limit: int | None = None) -> list[R]:
         """See `Repository`."""
         try:
-            return self._found({}, after, limit)
+            with self._engine.any_text(self._connection):
+                return self._found({}, after, limit)
         except RowDamaged:
             return self._sound(after, limit)
 
@@ -236,7 +242,8 @@ class SqlRepository(Generic[R]):
         """The record of each row; None for a damaged one."""
         while True:
             try:
-                row = rows.fetchone()
+                with self._engine.any_text(self._connection):
+                    row = rows.fetchone()
                 record = None if row is None else self._of(row)
             except RowDamaged:
                 yield None

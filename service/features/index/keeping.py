@@ -135,19 +135,26 @@ class IndexKeeper:
     def audit_here(self) -> int:
         """One turn of `audit`, which blocks its thread from beginning to end."""
         read_here = self._storage.transactions.read_here
-        maps = read_here(lambda uow: uow.maps.of_all_tenants(after=self._last_map, limit=MAPS))
+        maps = read_here(partial(_maps_after, after=self._last_map)) or read_here(partial(_maps_after, after=0))
         drift = compared = 0
         for record in filter(self._is_held, maps):
-            found, looked_at = self._audit_map(record)
+            found, looked_at = self._audit_readable(record)
             drift, compared = drift + found, compared + looked_at
             if record.number in self._last_submap:
                 return drift
             self._last_map = record.number
             if compared >= WINDOW:
                 return drift
-        if len(maps) < MAPS:
-            self._last_map = 0
+        self._last_map = maps[-1].number if maps else 0
         return drift
+
+    def _audit_readable(self, record: MapRecord) -> tuple[int, int]:
+        """As `_audit_map`; nothing of a map with damaged rows."""
+        try:
+            return self._audit_map(record)
+        except DataLoss as error:
+            log.error("index_not_audited", tenant=record.tenant, map=record.map_id, reason=error.message)
+            return 0, 0
 
     def _is_held(self, record: MapRecord) -> bool:
         return self._holds(record.number)
@@ -188,6 +195,11 @@ class IndexKeeper:
         self._health.drift += drift
         self._index.drop(record.number)
         self._caught_up.catch_up(record.tenant, record.number)
+
+
+def _maps_after(uow: UnitOfWork, after: int) -> list[MapRecord]:
+    """The next maps of any tenant; damaged ones are passed over."""
+    return uow.maps.of_all_tenants(after=after, limit=MAPS)
 
 
 def _next_map(uow: UnitOfWork, after: int) -> MapRecord | None:

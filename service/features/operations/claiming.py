@@ -29,9 +29,9 @@ class JobClaims:
         if self._disk.exhausted() or self._blobs.unreachable():
             return None
         alone = self._transactions.version() is not None
-        if alone and not self._transactions.read(lambda uow: uow.queue.waits()).result():
-            return None
         try:
+            if alone and not self._transactions.read(lambda uow: uow.queue.waits()).result():
+                return None
             return self._transactions.write(self._claim, durable=False).result()
         except DataLoss:
             self._transactions.write(_fail_damaged).result()

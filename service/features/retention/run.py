@@ -60,14 +60,14 @@ class Retention:
     async def all(self, now_ns: int | None = None) -> None:
         """One run over every map of every tenant, as of `now_ns`; the wall clock's time by default.
 
-        A map with damaged rows is passed over.
+        A map with damaged rows is passed over: another policy would remove what its owner keeps.
         """
         async for record in self._maps():
-            policy = self._rules.kept_of(record)
-            if policy == KEEPS_ALL:
-                continue
             try:
-                await self.of_map(record, policy, now_ns)
+                policy = self._rules.kept_of(record)
+                if policy != KEEPS_ALL:
+                    await self._storage.read(partial(_require_whole, record=record))
+                    await self.of_map(record, policy, now_ns)
             except DataLoss as error:
                 log.error("retention_stopped", tenant=record.tenant, map=record.map_id, reason=error.message)
 
@@ -77,7 +77,7 @@ class Retention:
             page = await self._storage.read(partial(_map_page, after=after))
             for record in page:
                 yield record
-            after = page[-1].number if len(page) == MAPS_A_PAGE else None
+            after = page[-1].number if page else None  # damaged rows are in no page
 
     async def of_map(self, record: MapRecord, policy: RetentionPolicy, now_ns: int | None = None) -> RetentionReport:
         """Remove what the policy of a map does not keep, and note what was removed."""
@@ -254,6 +254,15 @@ class _Run:
 
 def _map_page(uow: UnitOfWork, after: int) -> list[MapRecord]:
     return uow.maps.of_all_tenants(after=after, limit=MAPS_A_PAGE)
+
+
+def _require_whole(uow: UnitOfWork, record: MapRecord) -> None:
+    """Require that the map's policy and the ends of its sessions are those that were written. Raises DataLoss."""
+    maps = uow.maps.damaged(record.tenant, map_id=record.map_id)
+    sessions = uow.sessions.damaged(record.tenant, map_id=record.map_id)
+    for table, numbers in (("maps", maps), ("sessions", sessions)):
+        if numbers:
+            raise DataLoss(f"row {numbers[0]} of {table} is damaged: `revisit doctor --full` names every such row")
 
 
 def _active_sessions(uow: UnitOfWork, record: MapRecord) -> int:

@@ -145,6 +145,10 @@ class MemoryRepository(Generic[R]):
         """See `Repository`."""
         return len(self._matching(tenant, equals))
 
+    def damaged(self, tenant: TenantId, **equals: Scalar) -> list[int]:
+        """See `Repository`."""
+        return []
+
     def count_of_all_tenants(self, **equals: Scalar) -> int:
         """See `Repository`."""
         return sum(self._is_seen(row) for row in _equal(self._rows.by_number.values(), equals))

@@ -2,9 +2,15 @@
 
 from __future__ import annotations
 
-from sqlalchemy import Connection, Table, text
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from typing import Any
+
+import sqlalchemy
+from sqlalchemy import BigInteger, Connection, Table, func, text, update
 from sqlalchemy.exc import IntegrityError
 
+from revisit.service.engines.local.sqlite.row_checksums import COLUMN, is_whole
 from revisit.service.engines.local.sqlite.store_clock import StoreClock
 
 _LAST_NUMBER = text("SELECT seq FROM sqlite_sequence WHERE name = :table")
@@ -31,3 +37,38 @@ class SqliteEngine:
     def is_duplicate(self, error: IntegrityError) -> bool:
         """See `DatabaseEngine`."""
         return "UNIQUE" in str(error.orig)
+
+    @contextmanager
+    def any_text(self, connection: Connection) -> Iterator[None]:
+        """See `DatabaseEngine`."""
+        driver: Any = connection.connection.driver_connection
+        driver.text_factory = _text_or_bytes
+        try:
+            yield
+        finally:
+            driver.text_factory = str
+
+    def overwrite(self, connection: Connection, table: Table, number: int, values: Mapping[str, Any]) -> None:
+        """See `DatabaseEngine`. Where a statement changes the checksum, no trigger reads the row, which may hold a text
+        that no function can be given.
+        """
+        columns = (sqlalchemy.column(one.name, one.type) for one in table.columns if one.name != COLUMN)
+        bare = sqlalchemy.table(table.name, *columns, sqlalchemy.column(COLUMN, BigInteger))
+        other = func.coalesce(bare.c[COLUMN], 0).bitwise_not()
+        connection.execute(update(bare).where(bare.c.number == number).values({**values, COLUMN: other}))
+
+    def damaged_rows(self, connection: Connection, table: Table, numbers: Sequence[int]) -> list[int]:
+        """See `DatabaseEngine`."""
+        with self.any_text(connection):
+            return [number for number in numbers if not self._is_whole(connection, table, number)]
+
+    def _is_whole(self, connection: Connection, table: Table, number: int) -> bool:
+        row = connection.exec_driver_sql(f'SELECT * FROM "{table.name}" WHERE number = ?', (number,)).one_or_none()  # noqa: S608
+        return row is None or is_whole(table.name, row._asdict())
+
+
+def _text_or_bytes(data: bytes) -> str | bytes:
+    try:
+        return data.decode()
+    except UnicodeDecodeError:
+        return data

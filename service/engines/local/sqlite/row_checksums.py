@@ -13,7 +13,7 @@ import dataclasses
 import json
 import sqlite3
 import zlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -101,6 +101,14 @@ def _split(row: tuple[Any, ...]) -> tuple[Any, ...]:
     return row[0], row[1], row[2:]
 
 
+def is_whole(table: str, row: Mapping[str, Any]) -> bool:
+    """Whether the stored values of a row of a table, by column, fit its checksum; of a table without one they do."""
+    if COLUMN not in row:
+        return True
+    computed = row_checksum(*(None if column is None else row[column] for column in _checked(table, row)))
+    return bool(row[COLUMN] == computed)
+
+
 def damaged_rows(connection: sqlite3.Connection) -> Iterator[str]:
     """The damaged rows, as "table number"; the schema and the counters of numbers, too.
 
@@ -177,11 +185,16 @@ def _tables(connection: sqlite3.Connection) -> dict[str, list[str | None]]:
     """
     found: dict[str, list[str | None]] = {}
     for (table,) in connection.execute("SELECT name FROM sqlite_schema WHERE type = 'table' ORDER BY name").fetchall():
-        columns = sorted(row[1] for row in connection.execute(f'PRAGMA table_info("{table}")'))
+        columns = [row[1] for row in connection.execute(f'PRAGMA table_info("{table}")')]
         if COLUMN in columns:
-            alone = ALONE.get(table)
-            found[table] = [alone, *(column for column in columns if column not in (COLUMN, alone))]
+            found[table] = _checked(table, columns)
     return found
+
+
+def _checked(table: str, columns: Iterable[str]) -> list[str | None]:
+    """The arguments of `row_checksum` by column."""
+    alone = ALONE.get(table)
+    return [alone, *(column for column in sorted(columns) if column not in (COLUMN, alone))]
 
 
 def _schema_checksum(connection: sqlite3.Connection) -> int:

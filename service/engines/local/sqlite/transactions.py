@@ -65,6 +65,7 @@ FRAME_BYTES = 4096 + 24
 DAMAGED = ("SQLITE_CORRUPT", "SQLITE_NOTADB")
 
 NO_TEXT = "Could not decode to UTF-8"
+NO_ARGUMENT = "user-defined function raised exception"
 """How the driver says that a text is none: it gives such an error no name."""
 
 
@@ -235,7 +236,7 @@ class StorageFailures:
         if name in FULL or (name == WRITE_FAILED and not may_grow(self.log, FRAME_BYTES)):
             self.on_full()
             return StorageFull()
-        if name in DAMAGED or (not name and str(error.orig).startswith(NO_TEXT)):
+        if name in DAMAGED or (not name and str(error.orig).startswith(NO_TEXT)) or str(error.orig) == NO_ARGUMENT:
             return DataLoss(f"the database is damaged: {error.orig}")
         if name.startswith("SQLITE_IOERR"):
             self.fail_stop.trip(f"{name}: {error.orig}")
