@@ -13,7 +13,7 @@ import typer
 from revisit.cli.extras import what_is_missing
 from revisit.cli.moments import AsOf, Ever, moment_ns
 from revisit.cli.options import HTTP, Http, Json, MapName
-from revisit.cli.output import emit_json, progress_bar, refuse, reporter, say
+from revisit.cli.output import emit_json, progress_bar, refuse, reporter, say, signs
 from revisit.cli.recordings import Poses, opened
 from revisit.cli.submap_names import session_name
 from revisit.core.errors import BadField
@@ -186,6 +186,7 @@ def _write_file(file_format: str, out: Path, asked: Asked) -> dict[str, Any]:
     if earth is not None and epsg:  # before a cloud is made, which takes long
         earth.projected(placed[0].T_map_submap[None, :3, 3], epsg)
     out.parent.mkdir(parents=True, exist_ok=True)
+    signs.doing(f"making {out}")
     with progress_bar(quiet=False) as bar:
         more: dict[str, Writer] = {
             **{kind: partial(_write_cloud, kind=kind, epsg=epsg, earth=earth if epsg else None) for kind in PROJECTED},

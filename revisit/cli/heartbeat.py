@@ -14,7 +14,7 @@ POLL_S = 0.25
 
 
 class Heartbeat:
-    """Shows, once each, work that takes longer than `after_s`; nothing while a bar is shown."""
+    """Shows, once each, work that takes longer than `after_s`; nothing while a bar has a stage that goes on."""
 
     def __init__(
         self, doing: str, tell: Callable[[str], None], *, after_s: float = AFTER_S, look_s: float = POLL_S
@@ -23,7 +23,7 @@ class Heartbeat:
         self._tell = tell
         self._after_s = after_s
         self._look_s = look_s
-        self._bars = 0
+        self._bars: list[Callable[[], bool]] = []
         self._ended = threading.Event()
         self.doing(doing)
 
@@ -32,13 +32,13 @@ class Heartbeat:
         self._doing, self._since, self._shown = doing, time.monotonic(), False
 
     @contextmanager
-    def shown(self) -> Iterator[None]:
-        """Something else shows meanwhile how far the work is."""
-        self._bars += 1
+    def shown(self, goes_on: Callable[[], bool] = lambda: True) -> Iterator[None]:
+        """Something else shows meanwhile how far the work is, as long as it `goes_on`."""
+        self._bars.append(goes_on)
         try:
             yield
         finally:
-            self._bars -= 1
+            self._bars.remove(goes_on)
             self._since = time.monotonic()
 
     def end(self) -> None:
@@ -47,7 +47,10 @@ class Heartbeat:
 
     def is_due(self) -> bool:
         """Whether a line is to be told now."""
-        return not self._bars and not self._shown and time.monotonic() >= self._since + self._after_s
+        if any(goes_on() for goes_on in tuple(self._bars)):
+            self._since, self._shown = time.monotonic(), False
+            return False
+        return not self._shown and time.monotonic() >= self._since + self._after_s
 
     def _watch(self) -> None:
         while not self._ended.wait(self._look_s):

@@ -119,7 +119,7 @@ def merged_cloud(
     several = not ever and len({one.session for one in placed}) > 1
     needed = {row: number for number, row in enumerate(_needed(placed, several))}
     surfaces = _surfaces(http, [placed[row] for row in needed], report) if needed else None
-    stands = surfaces.standing() if surfaces and several else [None] * len(needed)
+    stands = surfaces.standing(report) if surfaces and several else [None] * len(needed)
     parts = [MergedCloud(np.zeros((0, 3)), None)]
     with Client(http) as client:
         for row, one in enumerate(placed):
@@ -184,18 +184,19 @@ def merged_mesh(
     from revisit.core.surface import extract_surface
 
     middle = np.rint(np.mean([one.T_map_submap[:3, 3] for one in placed], axis=0))
-    neural_map = _merged_map(_surfaces(http, placed, report), len(placed), middle, ever)
+    surfaces = _surfaces(http, placed, report)
+    stands = [None] * len(placed) if ever else surfaces.standing(report)
+    neural_map = _merged_map(surfaces, stands, middle)
     surface = extract_surface(neural_map, PipelineConfig().surface)
     vertices = neural_map.frame.points_to_submap(surface.vertices).astype(np.float64)
     return vertices + middle, surface.normals @ neural_map.frame.rotation.T, surface.faces
 
 
-def _merged_map(surfaces: Surfaces, count: int, middle: Points, ever: bool) -> NeuralMap:
-    """One neural map out of those of all submaps, seen from `middle` (3,) in the map."""
+def _merged_map(surfaces: Surfaces, stands: Sequence[NDArray[np.bool_] | None], middle: Points) -> NeuralMap:
+    """One neural map out of what stands of those of all submaps, seen from `middle` (3,) in the map."""
     from revisit.core.geometry.se3 import from_yaw
     from revisit.core.merge.fused import merge_neural_maps
 
-    stands = [None] * count if ever else surfaces.standing()
     maps, T_middle_map = [], from_yaw(0.0, -middle)
     for row, its in enumerate(stands):
         one = surfaces.placed(row)

@@ -89,7 +89,7 @@ def progress_bar(quiet: bool) -> Iterator[Progress]:
     )
     console = Console(stderr=True)
     shown = progress.Progress(*columns, console=console) if console.is_terminal else ProgressLines(tell)
-    with signs.shown(), shown:
+    with signs.shown(lambda: not shown.finished), shown:
         yield shown
 
 

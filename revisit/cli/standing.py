@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import TYPE_CHECKING
@@ -55,8 +55,11 @@ class Surfaces:
         one = self._of[row]
         return PlacedMap(self.neural_map(row), one.T_map_submap, one.session, one.stamp_ns)
 
-    def standing(self) -> list[NDArray[np.bool_] | None]:
-        """Which neural points (n,) of each submap still stand; None where all do. Judged square by square."""
+    def standing(self, report: Callable[[str, int, int], None]) -> list[NDArray[np.bool_] | None]:
+        """Which neural points (n,) of each submap still stand; None where all do. Judged square by square.
+
+        `report` is told the stage, and how many squares of how many are judged.
+        """
         from revisit.core.config import PipelineConfig
         from revisit.core.geometry.tile_grid import TileGrid
         from revisit.core.merge.tiles import standing_in_tile
@@ -68,12 +71,15 @@ class Surfaces:
         grid = TileGrid.of(first.config.resolution, first.frame.scale)
         reach_m = PipelineConfig().submap.surface_reach_m(first.frame.scale)
         positions = np.stack([one.T_map_submap[:3, 3] for one in self._of])
-        for cell, rows in grid.reached(positions, reach_m).items():
+        squares = grid.reached(positions, reach_m)
+        for number, (cell, rows) in enumerate(squares.items()):
+            report("squares compared", number, len(squares))
             if len({self._of[row].session for row in rows.tolist()}) > 1:
                 found = standing_in_tile([self.placed(row) for row in rows.tolist()], grid.centre(cell))
                 for row, its in zip(rows.tolist(), found, strict=True):
                     before = stands[row]
                     stands[row] = its if before is None else before & its
+        report("squares compared", len(squares), len(squares))
         return stands
 
     def gone(self, row: int, stands: NDArray[np.bool_] | None, points: NDArray[np.float64]) -> NDArray[np.bool_]:

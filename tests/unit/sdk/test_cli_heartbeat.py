@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import threading
 
+from revisit.cli import output
 from revisit.cli.heartbeat import Heartbeat
-from revisit.cli.output import progress_bar
+from revisit.cli.output import progress_bar, reporter
 from tests.support.patience import PATIENCE_S
 
 
@@ -42,3 +43,16 @@ def test_nothing_is_told_while_a_bar_shows_how_far_the_work_is():
     told = []
     with Heartbeat("at work", told.append, after_s=0.0, look_s=0.001) as signs, signs.shown():
         assert not signs.is_due()
+
+
+def test_work_between_two_stages_of_a_bar_is_told_each_time(monkeypatch):
+    told, now = [], Heartbeat("at work", lambda _doing: None, after_s=0.0)
+    monkeypatch.setattr(output, "signs", now)
+    with progress_bar(quiet=False) as bar:
+        report = reporter(bar)
+        for stage in ("neural maps", "clouds"):
+            report(stage, 1, 2)
+            told.append(now.is_due())
+            report(stage, 2, 2)
+            told.append(now.is_due())
+    assert told == [False, True, False, True]

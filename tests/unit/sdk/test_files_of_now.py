@@ -73,3 +73,12 @@ def test_a_submap_whose_scans_are_gone_has_the_points_of_its_surface_and_tells_w
     assert walls(now) <= 0.1 * walls(ever) and walls(ever) > 5
     alone = merged_cloud("", [before], lambda *_: None).points
     assert walls(alone) == walls(ever) and 0 < len(alone) <= len(ever)
+
+
+@pytest.mark.parametrize("made", [merged_cloud, merged_mesh])
+def test_the_comparison_of_drives_is_a_stage_of_its_own(two_days, made):
+    placed, _ = two_days
+    told = []
+    made("", placed, lambda *stage: told.append(stage))
+    squares = [(done, total) for stage, done, total in told if stage == "squares compared"]
+    assert squares == [(done, squares[-1][1]) for done in range(len(squares))] and len(squares) > 1
