@@ -40,7 +40,7 @@ ADVICE = {
     "STORAGE_UNCERTAIN": "Send the same again with the same ids: that settles whether it was stored.",
     "STORAGE_FULL": "Free disk space; then send the same again.",
     "DEADLINE_EXCEEDED": "Send the same again, or wait longer (`timeout_s`); for bodies, send faster.",
-    "NO_ANSWER": "See in `revisit doctor` or `/readyz` whether a worker lives and how many jobs wait; then ask again.",
+    "NO_ANSWER": "See in `revisit doctor` or `/readyz` if a worker is ready and how many jobs wait; then ask again.",
     "SEQ_NOT_REACHED": "Wait longer (`min_seq_timeout_s`), or ask without `min_seq` for what is known by now.",
     "UNAUTHENTICATED": "Send a valid API key, or ask whoever runs the service for one: `revisit keys create`.",
     "PERMISSION_DENIED": "Use a key with the scope that `detail` names; address the service by a name it knows "

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from revisit.api.words import NO_WORKER
 from revisit.cli.extras import needs
 from revisit.cli.offline import bucket_of, data_folder
 from revisit.cli.options import GRPC, HTTP, Grpc, Home, Http, Json
@@ -20,6 +21,7 @@ from revisit.sdk.errors import ApiError
 
 if TYPE_CHECKING:
     from revisit.sdk.client import Client
+    from revisit.sdk.resources import Status
     from revisit.service.engines.findings import Finding
     from revisit.service.engines.stored_blobs import Bucket
 
@@ -48,8 +50,7 @@ def doctor(
         _library("torch", optional=True),
         _checked("models", _models),
         *_data(home, full),
-        _checked("REST", lambda: _answer(Client(http, retry=once))),
-        _checked("gRPC", lambda: _answer(Client.grpc(grpc, http=http, retry=once))),
+        *_answers(lambda: Client(http, retry=once), lambda: Client.grpc(grpc, http=http, retry=once)),
     ]
     if json:
         emit_json([asdict(finding) for finding in findings])
@@ -124,7 +125,19 @@ def _server(home: Path | None) -> str:
         raise ValueError(str(error)) from error
 
 
-def _answer(client: Client) -> str:
+def _answers(rest: Callable[[], Client], grpc: Callable[[], Client]) -> Iterator[Finding]:
+    """Whether the service answers over both, and, where it does, whether a worker is ready."""
+    from revisit.service.engines.findings import Finding
+
+    told: list[Status] = []
+    yield _checked("REST", lambda: _answer(rest(), told))
+    yield _checked("gRPC", lambda: _answer(grpc(), told))
+    if told:
+        workers = len(told[-1].workers)
+        yield Finding("workers", workers > 0, f"{workers} ready" if workers else NO_WORKER)
+
+
+def _answer(client: Client, told: list[Status]) -> str:
     with client:
-        status = client.status()
-    return f"version {status.version}, {len(status.workers)} workers, {status.queued_jobs} jobs waiting"
+        told.append(client.status())
+    return f"version {told[-1].version}, {told[-1].queued_jobs} jobs waiting"

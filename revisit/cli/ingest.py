@@ -18,6 +18,7 @@ from revisit.cli.inspect import warn, warn_of_findings
 from revisit.cli.options import GRPC, HTTP, Grpc, Http, Json, MapName
 from revisit.cli.output import emit_json, emit_table, progress_bar, refuse, signs, tell
 from revisit.cli.recordings import Deskew, Format, Mounting, Odometry, Poses, Topic, opened
+from revisit.cli.waiting import teller_of_no_worker
 from revisit.core.errors import RevisitError
 from revisit.sdk.errors import NotFound
 
@@ -419,6 +420,7 @@ def _teller_of_delays() -> Callable[[str, str], None]:
 
 def _described(client: Client, session: Session, quiet: bool) -> list[Submap]:
     """The session's submaps once none is waiting any more."""
+    look = teller_of_no_worker(client)
     with progress_bar(quiet) as bar:
         task = bar.add_task(f"{session.name}: submaps", total=None)
         while True:
@@ -427,4 +429,5 @@ def _described(client: Client, session: Session, quiet: bool) -> list[Submap]:
             bar.update(task, total=len(submaps), completed=ended)
             if ended == len(submaps):
                 return submaps
+            look()
             time.sleep(POLL_S)

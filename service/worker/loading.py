@@ -8,9 +8,10 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
+from revisit.api.words import KERNELS
+
 FIRST_S = 2.0
 EVERY_S = 10.0
-HINT = "the first worker here compiles its kernels: half a minute on a free core; later starts load them"
 
 
 @contextmanager
@@ -23,7 +24,7 @@ def logged_while_loading(
     def watch() -> None:
         wait_s = first_s
         while not ended.wait(wait_s):
-            tell("worker_still_loading", seconds=round(time.monotonic() - began_s, 1), hint=HINT)
+            tell("worker_still_loading", seconds=round(time.monotonic() - began_s, 1), hint=KERNELS)
             wait_s = every_s
 
     thread = threading.Thread(target=watch, name="loading", daemon=True)

@@ -4,14 +4,22 @@ from __future__ import annotations
 
 import builtins
 import time
+import warnings
 
+from revisit.api.words import NO_WORKER
 from revisit.sdk import names
-from revisit.sdk.errors import ErrorDetails, OperationFailed
+from revisit.sdk.errors import ApiError, ErrorDetails, OperationFailed
 from revisit.sdk.groups.group import Group
 from revisit.sdk.names import name_of
 from revisit.sdk.resources import Operation
 
 MAX_WAIT_S = 60.0
+SILENT_S = 2.0
+"""After so long a wait says why the operation has not begun."""
+
+
+class NoWorker(UserWarning):
+    """An operation waits for a worker, and none is ready."""
 
 
 class Operations(Group):
@@ -34,11 +42,15 @@ class Operations(Group):
         return Operation.of(self._ask("CancelOperation", name=name_of(operation, names.OPERATION)))
 
     def wait(self, operation: str | Operation, timeout_s: float = 300.0) -> Operation:
-        """The operation once it is DONE. Raises OperationFailed; TimeoutError after `timeout_s`."""
+        """The operation once it is DONE. Raises OperationFailed; TimeoutError after `timeout_s`.
+
+        Warns (`NoWorker`) where it has not begun after 2 s, because no worker is ready.
+        """
         name, deadline = name_of(operation, names.OPERATION), time.monotonic() + timeout_s
+        longest_s = SILENT_S
         while True:
             left_s = max(0.0, deadline - time.monotonic())
-            current = Operation.of(self._ask("WaitOperation", name=name, timeout_s=min(left_s, MAX_WAIT_S)))
+            current = Operation.of(self._ask("WaitOperation", name=name, timeout_s=min(left_s, longest_s)))
             if current.state == "FAILED":
                 details = ErrorDetails("UNKNOWN", current.failure_reason or "", current.failure_message or "")
                 raise OperationFailed(details)
@@ -46,3 +58,13 @@ class Operations(Group):
                 return current
             if left_s == 0.0:
                 raise TimeoutError(f"{current.name} is {current.state} after {timeout_s:g} s")
+            if longest_s < MAX_WAIT_S and time.monotonic() < deadline:
+                longest_s = MAX_WAIT_S
+                if current.state == "QUEUED" and self._no_worker():
+                    warnings.warn(f"{current.name} waits: {NO_WORKER}", NoWorker, stacklevel=2)
+
+    def _no_worker(self) -> bool:
+        try:
+            return not self._ask("GetStatus").workers
+        except ApiError:
+            return False

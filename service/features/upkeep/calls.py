@@ -7,6 +7,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 
+from revisit.api.words import NO_WORKER
 from revisit.core.errors import RevisitError
 from revisit.service.domain.identity import TenantId
 from revisit.service.domain.records import WorkerRecord
@@ -98,7 +99,7 @@ class System:
 
     def _degraded(self, workers: int) -> Iterator[str]:
         if not workers:
-            yield "no worker lives: what is posted waits, and no query by cloud is answered; the log says why they end"
+            yield NO_WORKER
         if self._disk.full():
             yield "storage full: no new scans or submaps until there is room"
         if self._blobs.unreachable():

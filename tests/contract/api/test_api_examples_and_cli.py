@@ -249,7 +249,14 @@ def test_loops_query_and_export_answer_for_an_ingested_recording(recording, serv
 
 def test_the_doctor_reports_each_part(service, tmp_path):
     arguments = ("doctor", "--home", tmp_path, "--http", service.http, "--grpc", service.grpc, "--json")
-    findings = {finding["check"]: finding for finding in json.loads(invoke(*arguments))}
+    assert [f["check"] for f in json.loads(invoke(*arguments, status=1)) if f["ok"] is False] == ["workers"]
+    transactions = service.world.context.transactions
+    transactions.write(lambda uow: uow.workers.beat("w1", "fake-1")).result()
+    try:
+        findings = {finding["check"]: finding for finding in json.loads(invoke(*arguments))}
+    finally:
+        transactions.write(lambda uow: uow.workers.forget("w1")).result()
+    assert findings["workers"]["detail"] == "1 ready"
     assert findings["REST"]["ok"] is True
     assert findings["gRPC"]["ok"] is True
     assert findings["models"]["detail"]
