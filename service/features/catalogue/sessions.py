@@ -29,7 +29,7 @@ from revisit.service.features.graph.told_changes import find_changes_soon
 from revisit.service.features.ingest.window_submaps import add_window_submap, remainder
 from revisit.service.features.loops.waiting import accept_decided
 from revisit.service.features.resources.call_context import CallContext
-from revisit.service.features.resources.paging import Page, PageRequest
+from revisit.service.features.resources.paging import Page, PageRequest, rows_of_map
 from revisit.service.ports.storage import (
     require_deleted,
     require_map,
@@ -107,7 +107,8 @@ class Sessions:
 
     async def list(self, tenant: TenantId, map_id: str, page: PageRequest) -> Page[SessionView]:
         """The sessions of a map, oldest first. Raises NotFound for the map."""
-        return await self._context.lists.page(tenant, page, partial(_of_map, tenant=tenant, map_id=map_id), _view)
+        find = rows_of_map(lambda uow: uow.sessions, tenant, map_id)
+        return await self._context.lists.page(tenant, page, find, _view)
 
     async def finish(self, tenant: TenantId, key: SessionKey) -> SessionView:
         """Close the session; the scans of its last, shorter window become a submap. Again: no effect.
@@ -189,11 +190,6 @@ def _add(uow: UnitOfWork, record: SessionRecord) -> CreatedSession:
         return CreatedSession(_view(uow, uow.sessions.add(record)), replay=False)
     require_same_content(known.content_hash, record.content_hash, f"session {record.session_id}")
     return CreatedSession(_view(uow, known), replay=True)
-
-
-def _of_map(uow: UnitOfWork, after: int, limit: int, *, tenant: TenantId, map_id: str) -> list[SessionRecord]:
-    require_map(uow, tenant, map_id)
-    return uow.sessions.find(tenant, after=after, limit=limit, map_id=map_id)
 
 
 def _delete(uow: UnitOfWork, key: SessionKey, entry: AuditEntry, at_ns: int) -> None:

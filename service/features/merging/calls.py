@@ -26,7 +26,7 @@ from revisit.service.features.merging.reading import require_comparable
 from revisit.service.features.optimisation.calls import restore_version
 from revisit.service.features.optimisation.rows import MAP_REVERTED
 from revisit.service.features.resources.call_context import CallContext
-from revisit.service.features.resources.paging import Page, PageRequest, as_it_is
+from revisit.service.features.resources.paging import Page, PageRequest, as_it_is, rows_of_map
 from revisit.service.features.resources.views import PostedOperation
 from revisit.service.ports.map_optimiser import GEOREFERENCES
 from revisit.service.ports.storage import require_map, require_session
@@ -91,7 +91,8 @@ class MapMerges:
 
     async def list(self, tenant: TenantId, map_id: str, page: PageRequest) -> Page[MapMergeRecord]:
         """The merges into a map, oldest first, those taken back too. Raises NotFound for the map."""
-        return await self._context.lists.page(tenant, page, partial(_merges, tenant=tenant, map_id=map_id), as_it_is)
+        find = rows_of_map(lambda uow: uow.map_merges, tenant, map_id)
+        return await self._context.lists.page(tenant, page, find, as_it_is)
 
     async def get(self, tenant: TenantId, map_id: str, merge_id: str) -> MapMergeRecord:
         """Raises NotFound."""
@@ -177,8 +178,3 @@ def _require_merge(uow: UnitOfWork, tenant: TenantId, map_id: str, merge_id: str
     if known is None:
         raise NotFound(f"there is no merge {merge_id!r} of map {map_id!r}"[:200])
     return known
-
-
-def _merges(uow: UnitOfWork, after: int, limit: int, *, tenant: TenantId, map_id: str) -> list[MapMergeRecord]:
-    require_map(uow, tenant, map_id)
-    return uow.map_merges.find(tenant, after=after, limit=limit, map_id=map_id)

@@ -6,10 +6,12 @@ import asyncio
 import time
 from dataclasses import replace
 from functools import partial
+from typing import Any
 
 from revisit.core.errors import BadField
 from revisit.service.capacity.call_slots import Wait, waiting
 from revisit.service.domain import limits
+from revisit.service.domain.errors import NoAnswer, error_of
 from revisit.service.domain.identity import TenantId
 from revisit.service.domain.records import JobRecord
 from revisit.service.domain.states import OperationKind, OperationState
@@ -75,6 +77,15 @@ class Operations:
             job = replace(job, cancel_requested=True)
             uow.jobs.replace(job)
         return job
+
+    def require_result(self, waited_for: JobRecord, unanswered: str) -> dict[str, Any]:
+        """The result of an operation. Raises the worker's error; NoAnswer, or Draining, where it has not ended."""
+        if waited_for.failure_code is not None:
+            raise error_of(waited_for.failure_code, waited_for.failure_message or "")
+        if waited_for.result is None:
+            self._context.admission.require_running()
+            raise NoAnswer(unanswered)
+        return waited_for.result
 
     async def wait(self, tenant: TenantId, operation_id: str, timeout_s: float) -> JobRecord:
         """The operation once it has ended, or as it stands after `timeout_s` (at most 60). Raises NotFound.

@@ -7,7 +7,7 @@ from typing import Any
 
 from revisit.service.capacity.backlog import UNENDED, same_job
 from revisit.service.domain import limits
-from revisit.service.domain.errors import AlreadyExists, NoAnswer, error_of
+from revisit.service.domain.errors import AlreadyExists
 from revisit.service.domain.identity import TenantId
 from revisit.service.domain.records import JobRecord
 from revisit.service.domain.states import OperationKind
@@ -38,12 +38,9 @@ class JoinedJobs:
         except AlreadyExists:  # another gateway was first
             job = await self._context.storage.write(post)
         operation = await self._operations.wait(tenant, job.operation_id, limits.TILE_WAIT_S)
-        if operation.failure_code is not None:
-            raise error_of(operation.failure_code, operation.failure_message or "")
-        if operation.result is None:
-            self._context.admission.require_running()
-            raise NoAnswer(f"no worker answered within {limits.TILE_WAIT_S:g} s; ask again")
-        return operation.result
+        return self._operations.require_result(
+            operation, f"no worker answered within {limits.TILE_WAIT_S:g} s; ask again"
+        )
 
     def _posted(
         self, uow: UnitOfWork, tenant: TenantId, kind: OperationKind, subject: str, payload: dict[str, Any]

@@ -7,7 +7,6 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any
 
-from revisit.service.domain.errors import NoAnswer, error_of
 from revisit.service.domain.identity import TenantId
 from revisit.service.domain.records import JobRecord
 from revisit.service.domain.states import OperationKind, OperationState
@@ -49,12 +48,9 @@ class WorkerAnswers:
             # A caller that leaves meanwhile does not undo the job: it is queued before this, or never.
             if operation is None or not operation.done:
                 await asyncio.shield(self._release(job, discard))
-        if operation.failure_code is not None:
-            raise error_of(operation.failure_code, operation.failure_message or "")
-        if operation.result is None:
-            self._context.admission.require_running()
-            raise NoAnswer(f"no worker answered within {timeout_s:g} s, and the query was dropped")
-        return operation.result
+        return self._operations.require_result(
+            operation, f"no worker answered within {timeout_s:g} s, and the query was dropped"
+        )
 
     async def _release(self, job: JobRecord, discard: Callable[[Result], None]) -> None:
         unread = await self._context.storage.write(partial(_drop, asked=job))

@@ -27,7 +27,7 @@ from revisit.service.features.deletion.blob_references import blob_of_plan, forg
 from revisit.service.features.plans.rows import held_pins, plan_seen
 from revisit.service.features.plans.rules import PlanPin, PlanView, two_pins
 from revisit.service.features.resources.call_context import CallContext
-from revisit.service.features.resources.paging import Page, PageRequest
+from revisit.service.features.resources.paging import Page, PageRequest, rows_of_map
 from revisit.service.ports.blobs import PLAN_BLOB
 from revisit.service.ports.storage import require_map, require_same_content
 from revisit.service.ports.transactions import UnitOfWork
@@ -110,7 +110,8 @@ class Plans:
 
     async def list(self, tenant: TenantId, map_id: str, page: PageRequest) -> Page[PlanView]:
         """The plans of a map, oldest first. Raises NotFound."""
-        return await self._context.lists.page(tenant, page, partial(_plans, tenant=tenant, map_id=map_id), plan_seen)
+        find = rows_of_map(lambda uow: uow.plans, tenant, map_id)
+        return await self._context.lists.page(tenant, page, find, plan_seen)
 
     async def pin(self, tenant: TenantId, map_id: str, plan_id: str, pins: Sequence[PlanPin]) -> PlanView:
         """Hold a plan by other pins. Raises NotFound, BadField, Draining, RateLimited."""
@@ -211,8 +212,3 @@ def _require_plan(uow: UnitOfWork, tenant: TenantId, map_id: str, plan_id: str) 
     if known is None:
         raise NotFound(f"map {map_id!r} has no plan {plan_id!r}"[:300])
     return known
-
-
-def _plans(uow: UnitOfWork, after: int, limit: int, *, tenant: TenantId, map_id: str) -> list[PlanRecord]:
-    require_map(uow, tenant, map_id)
-    return uow.plans.find(tenant, after=after, limit=limit, map_id=map_id)

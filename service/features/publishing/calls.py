@@ -21,7 +21,7 @@ from revisit.service.features.audit.calls import AuditEntry
 from revisit.service.features.deletion.blob_references import forget_file
 from revisit.service.features.optimisation.calls import version_seen
 from revisit.service.features.resources.call_context import CallContext
-from revisit.service.features.resources.paging import Page, PageRequest, as_it_is
+from revisit.service.features.resources.paging import Page, PageRequest, as_it_is, rows_of_map
 from revisit.service.features.resources.views import PostedOperation
 from revisit.service.ports.blobs import MAP_LAYOUT_BLOB, NEURAL_MAP_BLOB
 from revisit.service.ports.storage import Storage, require_map
@@ -72,7 +72,7 @@ class MapFiles:
 
     async def list(self, tenant: TenantId, map_id: str, page: PageRequest) -> Page[MapFileRecord]:
         """The files of a map, oldest first. Raises NotFound."""
-        find = partial(_files, tenant=tenant, map_id=map_id)
+        find = rows_of_map(lambda uow: uow.map_files, tenant, map_id)
         return await self._context.lists.page(tenant, page, find, as_it_is)
 
     async def enable(self, tenant: TenantId, map_id: str, version: int) -> MapFileRecord:
@@ -135,11 +135,6 @@ def _require_file(uow: UnitOfWork, tenant: TenantId, map_id: str, version: int) 
     if known is None:
         raise NotFound(f"version {version} of map {map_id!r} is no file: publish it"[:200])
     return known
-
-
-def _files(uow: UnitOfWork, after: int, limit: int, *, tenant: TenantId, map_id: str) -> list[MapFileRecord]:
-    require_map(uow, tenant, map_id)
-    return uow.map_files.find(tenant, after=after, limit=limit, map_id=map_id)
 
 
 def _next(pieces: Iterator[bytes]) -> bytes | None:

@@ -20,7 +20,8 @@ from revisit.service.capacity.in_flight import InFlight, Turns
 from revisit.service.capacity.limits import LISTS_AT_A_TIME, ROW_POINTS
 from revisit.service.domain import limits
 from revisit.service.domain.identity import TenantId
-from revisit.service.ports.storage import Storage
+from revisit.service.ports.repositories import RowReader
+from revisit.service.ports.storage import Storage, require_map
 from revisit.service.ports.transactions import UnitOfWork
 
 T = TypeVar("T")
@@ -97,6 +98,18 @@ class PageTokens:
 def as_it_is(_uow: UnitOfWork, row: T) -> T:
     """The view of a row that clients see as it is."""
     return row
+
+
+def rows_of_map(
+    kind: Callable[[UnitOfWork], RowReader[N]], tenant: TenantId, map_id: str
+) -> Callable[[UnitOfWork, int, int], Sequence[N]]:
+    """The `find` of a page of the rows of one kind that a map has. It raises NotFound where there is no map."""
+
+    def find(uow: UnitOfWork, after: int, limit: int) -> Sequence[N]:
+        require_map(uow, tenant, map_id)
+        return kind(uow).find(tenant, after=after, limit=limit, map_id=map_id)
+
+    return find
 
 
 class Lists:
