@@ -6,6 +6,7 @@ import ast
 import re
 from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import TypeGuard
 
 ROOT = Path(__file__).resolve().parent.parent
 SDK = ROOT / "revisit/sdk"
@@ -35,7 +36,7 @@ def stub() -> str:
     """The text of the stub."""
     groups = [ast.parse(path.read_text()) for path in sorted((SDK / "groups").glob("*.py")) if path.stem != "group"]
     client = ast.parse((SDK / "client.py").read_text())
-    classes = [_group(one) for tree in groups for one in tree.body if isinstance(one, ast.ClassDef)]
+    classes = [_group(one) for tree in groups for one in tree.body if _is_group(one)]
     body = "\n\n".join([*classes, _client(_class(client, "Client")), _stream(_class(client, "ScanStream"))])
     body += "\n\n" + _held(_class(ast.parse((SDK / "conversations.py").read_text()), "Conversation"))
     imports = (line for tree in (*groups, client, ast.parse(OWN)) for line in _imports(tree))
@@ -59,6 +60,11 @@ def _class(tree: ast.Module, name: str) -> ast.ClassDef:
 
 def _functions(of: ast.ClassDef) -> dict[str, ast.FunctionDef]:
     return {one.name: one for one in of.body if isinstance(one, ast.FunctionDef)}
+
+
+def _is_group(one: ast.stmt) -> TypeGuard[ast.ClassDef]:
+    """Whether a statement is a class of calls; a warning beside one is none."""
+    return isinstance(one, ast.ClassDef) and "Group" in map(ast.unparse, one.bases)
 
 
 def _group(of: ast.ClassDef) -> str:

@@ -112,8 +112,6 @@ class Maps:
     async def revert_merge(self, merge: str | MapMerge) -> MapMerge:
         ...
 
-class NoWorker:
-
 class Operations:
     async def get(self, name: str) -> Operation:
         ...

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import ast
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -9,6 +11,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
+GROUPS = ROOT / "revisit/sdk/groups"
 
 
 @pytest.mark.parametrize("name", ["proto", "openapi", "parameters", "references", "async", "decisions"])
@@ -23,3 +26,10 @@ def test_the_proto_files_are_lint_clean():
     buf = Path(sys.executable).parent / "buf"
     result = subprocess.run([buf, "lint", "proto"], cwd=ROOT, capture_output=True, text=True, check=False)
     assert (result.returncode, result.stdout) == (0, "")
+
+
+def test_the_types_of_the_asynchronous_client_can_be_read_and_hold_its_groups():
+    stub = ast.parse((ROOT / "revisit/sdk/async_client.pyi").read_text())
+    named = {one.name for one in stub.body if isinstance(one, ast.ClassDef)}
+    groups = re.findall(r"^class (\w+)\(Group\):", "\n".join(map(Path.read_text, GROUPS.glob("*.py"))), re.MULTILINE)
+    assert named == {*groups, "AsyncClient", "AwaitedStream", "AwaitedConversation"}
