@@ -127,3 +127,7 @@ def unreachable(address: str, cause: object) -> Unavailable:
 def closed() -> FailedPrecondition:
     """The stream was closed while somebody waited for it."""
     return FailedPrecondition(ErrorDetails("FAILED_PRECONDITION", "CLOSED", "the stream was closed"))
+
+
+class NoWorker(UserWarning):
+    """An operation waits for a worker, and none is ready."""

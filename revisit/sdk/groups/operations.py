@@ -8,7 +8,7 @@ import warnings
 
 from revisit.api.words import NO_WORKER
 from revisit.sdk import names
-from revisit.sdk.errors import ApiError, ErrorDetails, OperationFailed
+from revisit.sdk.errors import ApiError, ErrorDetails, NoWorker, OperationFailed
 from revisit.sdk.groups.group import Group
 from revisit.sdk.names import name_of
 from revisit.sdk.resources import Operation
@@ -16,10 +16,6 @@ from revisit.sdk.resources import Operation
 MAX_WAIT_S = 60.0
 SILENT_S = 2.0
 """After so long a wait says why the operation has not begun."""
-
-
-class NoWorker(UserWarning):
-    """An operation waits for a worker, and none is ready."""
 
 
 class Operations(Group):

@@ -8,8 +8,9 @@ from types import SimpleNamespace
 import pytest
 
 from revisit.cli.waiting import waited
+from revisit.sdk.errors import NoWorker
 from revisit.sdk.groups import operations
-from revisit.sdk.groups.operations import NoWorker, Operations
+from revisit.sdk.groups.operations import Operations
 from revisit.sdk.resources import Operation
 from revisit.v1 import operation_pb2, system_pb2
 
