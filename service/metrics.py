@@ -126,7 +126,7 @@ class StoreMetrics(Collector):
         if free_bytes is not None:
             yield _gauge("revisit_disk_free_bytes", "Room on the disk of the data folder.", {"": free_bytes})
         yield _gauge("revisit_storage_full", "1 while clients' data is refused for want of room.", {"": disk.full()})
-        yield _gauge("revisit_wal_bytes", "Size of the database's write-ahead log.", {"": disk.wal_bytes()})
+        yield _gauge("revisit_wal_bytes", "Size of the database's write-ahead log.", {"": disk.log_bytes()})
         unreachable = bool(self._context.blob_outage.unreachable())
         yield _gauge("revisit_blobs_unreachable", "1 while the store of blobs does not answer.", {"": unreachable})
         with suppress(RevisitError):

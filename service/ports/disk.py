@@ -20,7 +20,7 @@ class DiskSpace(Protocol):
         """How much this user may still write; None where nobody knows."""
         ...
 
-    def wal_bytes(self) -> int:
+    def log_bytes(self) -> int:
         """Size of the log of commits that are not folded back into the database yet."""
         ...
 
@@ -40,6 +40,6 @@ class UnlimitedDisk:
         """See `DiskSpace`."""
         return None
 
-    def wal_bytes(self) -> int:
+    def log_bytes(self) -> int:
         """See `DiskSpace`."""
         return 0

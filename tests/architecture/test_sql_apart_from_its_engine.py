@@ -35,12 +35,15 @@ from revisit.service.ports.access import AuditRecord, KeyRecord
 from tests.contract.test_transactions import fill
 from tests.support.plain_engine import HIGHEST, PlainTransactions
 from tests.support.records import TENANT, a_job, a_map, a_submap
+from tests.support.sources import modules
 
 SQL = Path(__file__).resolve().parents[2] / "service" / "engines" / "sql"
 DIALECT = re.compile(
     r"sqlite|postgres|\bdialects?\.|pragma|rowid|insert or|on conflict|savepoint|json_|\bglob\b|exec_driver_sql",
     re.IGNORECASE,
 )
+ABOVE_ENGINES = ("domain", "ports", "capacity", "features", "wire", "calls", "edge", "rest", "grpc", "worker")
+WORDS_OF_ENGINES = re.compile(r"(?<![a-z])(?:wal(?![a-z])|flock|sqlite_sequence|boot_?ids?|epoch)", re.IGNORECASE)
 NOW_MS = 1
 KEY = KeyRecord(TENANT, "k1", "label", ("read",), "0" * 64, 1, None, None, None)
 ROW = AuditRecord(1, 1, TENANT, "actor", "keys.create", "k1", {}, "", "0" * 64)
@@ -170,6 +173,13 @@ def statements():
     store.close()
     del sent[str(HIGHEST)]
     return [*sent.values(), blob_addresses.blob_addresses()]
+
+
+def test_nothing_above_an_engine_knows_how_it_keeps_its_log_its_locks_and_its_time():
+    texts = {module.name: module.text for module in modules(*(f"service/{folder}" for folder in ABOVE_ENGINES))}
+    assert len(texts) > 200
+    assert {name: found for name, text in texts.items() if (found := WORDS_OF_ENGINES.findall(text))} == {}
+    assert WORDS_OF_ENGINES.findall("WAL_ALARM wal_bytes walls") == ["WAL", "wal"]
 
 
 def test_statements_of_every_submap_are_built_once():

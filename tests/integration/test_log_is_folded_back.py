@@ -14,7 +14,7 @@ from revisit.service.engines.local.sqlite.checkpoints import LARGE_BYTES, OLD_S,
 from revisit.service.engines.local.sqlite.connections import write_ahead_log
 from revisit.service.engines.local.sqlite.examination import examine
 from revisit.service.engines.local.sqlite.transactions import SqliteTransactions, StorageFailures
-from revisit.service.features.upkeep.calls import WAL_ALARM_BYTES
+from revisit.service.features.upkeep.calls import LOG_ALARM_BYTES
 from tests.support.made_database import made_database
 from tests.support.patience import eventually
 from tests.support.processes import ForkedService
@@ -107,10 +107,10 @@ def test_a_disk_that_fails_while_the_log_is_folded_back_stops_the_service(world,
 
 
 def test_a_service_folds_back_what_was_left_while_it_is_idle_and_while_it_drains(world, tmp_path):
-    world.beat(WAL_ALARM_BYTES + 2**20)
+    world.beat(LOG_ALARM_BYTES + 2**20)
     with closing(ForkedService(tmp_path / "home", workers=1, fake_delay_s=3)) as service:
-        eventually(lambda: world.size_bytes < WAL_ALARM_BYTES, "the log stays large")
+        eventually(lambda: world.size_bytes < LOG_ALARM_BYTES, "the log stays large")
         assert all(finding.ok is not False for finding in examine(tmp_path / "home", full=False))
-        world.beat(WAL_ALARM_BYTES + 2**20)
+        world.beat(LOG_ALARM_BYTES + 2**20)
         service.terminate()
-        assert world.size_bytes < WAL_ALARM_BYTES
+        assert world.size_bytes < LOG_ALARM_BYTES

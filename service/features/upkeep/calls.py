@@ -20,7 +20,7 @@ from revisit.service.ports.transactions import UnitOfWork
 
 WORKER_SEEN_WITHIN_MS = 15_000
 
-WAL_ALARM_BYTES = 64 * 2**20
+LOG_ALARM_BYTES = 64 * 2**20
 """A log that grows beyond is not folded back any more: some reader keeps a snapshot for very long."""
 
 
@@ -104,9 +104,9 @@ class System:
             yield "storage full: no new scans or submaps until there is room"
         if self._blobs.unreachable():
             yield "the store of blobs does not answer: no new scans or submaps, no downloads, and no job is begun"
-        wal_bytes = self._disk.wal_bytes()
-        if wal_bytes > WAL_ALARM_BYTES:
-            yield f"the log of the database has grown to {wal_bytes >> 20} MiB: searches and starts become slower"
+        log_bytes = self._disk.log_bytes()
+        if log_bytes > LOG_ALARM_BYTES:
+            yield f"the log of the database has grown to {log_bytes >> 20} MiB: searches and starts become slower"
 
     async def status(self, tenant: TenantId) -> ServiceStatus:
         """Queue depth, index size, workers and model version."""

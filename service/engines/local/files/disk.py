@@ -65,7 +65,7 @@ class Disk:
         """See `DiskSpace`."""
         return self.free_bytes() < self._floor_bytes
 
-    def wal_bytes(self) -> int:
+    def log_bytes(self) -> int:
         """See `DiskSpace`."""
         return self._log.stat().st_size if self._log is not None and self._log.exists() else 0
 

@@ -18,7 +18,7 @@ from revisit.service.engines.local.sqlite.migration import current_revision
 from revisit.service.engines.local.sqlite.row_checksums import damaged_rows
 from revisit.service.engines.schema import NEWEST_REVISION, known_revisions
 from revisit.service.engines.stored_blobs import QUARANTINE, BlobDamaged, Bucket
-from revisit.service.features.upkeep.calls import WAL_ALARM_BYTES
+from revisit.service.features.upkeep.calls import LOG_ALARM_BYTES
 from revisit.service.ports.blobs import StoredBlob
 
 FIXED_SQLITE = (3, 51, 3)
@@ -135,4 +135,4 @@ def _references(rows: sqlite3.Connection) -> Finding:
 def _wal(database: Path) -> Finding:
     wal = write_ahead_log(database)
     size_bytes = wal.stat().st_size if wal.exists() else 0
-    return Finding("WAL", size_bytes <= WAL_ALARM_BYTES, f"{size_bytes / 2**20:.1f} MiB")
+    return Finding("WAL", size_bytes <= LOG_ALARM_BYTES, f"{size_bytes / 2**20:.1f} MiB")
