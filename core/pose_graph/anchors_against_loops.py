@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,8 +23,8 @@ Array64 = NDArray[np.float64]
 BESIDE_M = 60.0
 """Anchors so far along the drive from a submap tell where it is; odometry bends little on such a way."""
 
-MOST_BESIDE = 24
-"""So many of them are held against those of the other submap, those nearest along the drive."""
+EACH_M = 5.0
+"""One anchor in so many metres of the drive counts: reflections of 30 s are few beside a slow robot, too."""
 
 TOGETHER_M = 20.0
 """An anchor is compared with the one of the other drive that a loop puts nearest to it, if so near."""
@@ -41,8 +42,15 @@ FAR_M = 100.0
 """No receiver errs by so much more than it states, and few datums lie so far apart."""
 
 APART_M, NEAR_M, LEAST_NEAR = 40.0, 25.0, 3
-"""Between drives whose anchors lie within NEAR_M of each other by so many loops, receivers agree. There reflections
-alone make a difference, and hardly one is of more than APART_M beyond what is stated."""
+"""Between drives whose anchors lie within NEAR_M of each other by so many loops, receivers agree, as one does with
+itself. There reflections alone make a difference, and hardly one is of more than APART_M beyond what is stated."""
+
+OWN_M, OWN_SHARE, STRETCH_M = 10.0, 0.7, 150.0
+"""So many of the anchors STRETCH_M before and behind a place of a drive lie where its odometry has them, but for OWN_M
+beyond what is stated. Where not, a clock is wrong, or reflections are many: such a drive refutes nothing."""
+
+STRETCHES, FITTINGS = 50, 3
+"""Places of a drive, at most, beside which it is looked at; and how often the best of the anchors are chosen."""
 
 ANOTHER_SITE_M = 100_000.0
 """A place so far away is none: receivers tell (0, 0) before they have a fix."""
@@ -68,27 +76,50 @@ class _AnchoredDrive:
         """A drive with at least one anchor."""
         steps_m = np.linalg.norm(np.diff(T_odom_submap[:, :3, 3], axis=0), axis=1)
         along_m = np.concatenate([[0.0], np.cumsum(steps_m)])
-        ordered = sorted(anchors, key=lambda one: one.node.ordinal)
-        ordinals = np.array([one.node.ordinal for one in ordered])
-        points = np.array([one.point_submap for one in ordered])
+        ordinals = np.array([one.node.ordinal for one in anchors])
         T = T_odom_submap[ordinals]
-        variances = np.array([np.linalg.eigvalsh(one.covariance[:2, :2])[-1] for one in ordered])
+        ahead = np.einsum("nij,nj->ni", T[:, :3, :3], np.array([one.point_submap for one in anchors]))
+        anchor_along_m = along_m[ordinals] + (ahead * _directions(T_odom_submap)[ordinals]).sum(axis=1)
+        order = np.argsort(anchor_along_m, kind="stable")
+        variances = np.linalg.eigvalsh(np.array([one.covariance[:2, :2] for one in anchors]))[:, -1]
         return cls(
             T_odom_submap,
             along_m,
-            along_m[ordinals],
-            np.einsum("nij,nj->ni", T[:, :3, :3], points) + T[:, :3, 3],
-            np.array([one.place_world[:2] for one in ordered]),
-            np.sqrt(variances),
+            anchor_along_m[order],
+            (ahead + T[:, :3, 3])[order],
+            np.array([one.place_world[:2] for one in anchors])[order],
+            np.sqrt(variances)[order],
         )
 
     def beside(self, ordinal: int) -> tuple[Array64, Array64, Array64]:
         """Of the anchors beside a submap: points (k, 3) in its frame, places (k, 2) and standard deviations (k,)."""
-        away_m = np.abs(self.anchor_along_m - self.along_m[ordinal])
-        rows = np.argsort(away_m, kind="stable")[:MOST_BESIDE]
-        rows = rows[away_m[rows] <= BESIDE_M]
+        rows = self._rows(self.along_m[ordinal], BESIDE_M)
         points = se3.apply(se3.inverse(self.T_odom_submap[ordinal]), self.points_odom[rows])
         return points, self.places[rows], self.sigmas_m[rows]
+
+    @cached_property
+    def fits(self) -> bool:
+        """Whether the anchors lie, along most stretches of the drive, as its odometry has them."""
+        n = len(self.anchor_along_m)
+        some = self.anchor_along_m[np.unique(np.linspace(0, n - 1, min(n, STRETCHES)).round().astype(np.int64))]
+        stretches = [rows for along_m in some if len(rows := self._rows(along_m, STRETCH_M)) > LEAST_BESIDE]
+        return bool(np.mean([self._is_as_driven(rows) for rows in stretches] or [True]) >= LEAST_SHARE)
+
+    def _rows(self, along_m: float, reach_m: float) -> NDArray[np.int64]:
+        """The anchors that count within reach of a place of the drive, in its order."""
+        first, last = np.searchsorted(self.anchor_along_m, (along_m - reach_m, along_m + reach_m))
+        parts = (self.anchor_along_m[first:last] - along_m) // EACH_M
+        return np.asarray(first + np.flatnonzero(np.diff(parts, prepend=-np.inf)))
+
+    def _is_as_driven(self, rows: NDArray[np.int64]) -> bool:
+        """Whether most of some anchors lie where the odometry has them, moved and turned on the ground as fits best."""
+        driven, told = (values[rows, :2] @ (1.0, 1.0j) for values in (self.points_odom, self.places))
+        best = np.ones(len(rows), dtype=np.bool_)
+        for _ in range(FITTINGS):
+            a, b = driven - driven[best].mean(), told - told[best].mean()
+            off_m = np.abs(b - a * np.exp(1j * np.angle(np.vdot(a[best], b[best]))))
+            best = off_m <= np.quantile(off_m, OWN_SHARE)
+        return bool((off_m < OWN_M + SIGMAS * self.sigmas_m[rows]).mean() >= OWN_SHARE)
 
 
 def refuted_by_anchors(
@@ -96,8 +127,8 @@ def refuted_by_anchors(
 ) -> set[str]:
     """The names of the loops that anchors speak against. T_odom_submap (n, 4, 4): the drive of each session.
 
-    Nothing but the loop, both drives beside it and their anchors counts; of all loops between two drives it counts how
-    many their anchors agree with.
+    Nothing but the loop, its drives and their anchors counts; of all loops between two drives it counts how many their
+    anchors agree with.
     """
     of_session: dict[str, list[Anchor]] = {}
     for anchor in anchors:
@@ -114,7 +145,12 @@ def refuted_by_anchors(
         if _most(excess.get(loop.name), below=NEAR_M):
             near.setdefault(pairs[loop.name], set()).add(loop.query)
     agree = {pair for pair, queries in near.items() if len(queries) >= LEAST_NEAR}
-    return {name for name, its in excess.items() if _most(its, above=APART_M if pairs[name] in agree else FAR_M)}
+    return {
+        name
+        for name, its in excess.items()
+        if _most(its, above=APART_M if len(pairs[name]) == 1 or pairs[name] in agree else FAR_M)
+        and all(drives[one].fits for one in pairs[name])
+    }
 
 
 def _excess_m(match: _AnchoredDrive, query: _AnchoredDrive, loop: LoopEdge) -> Array64 | None:
@@ -135,6 +171,13 @@ def _excess_m(match: _AnchoredDrive, query: _AnchoredDrive, loop: LoopEdge) -> A
         return None
     errors_m = SIGMAS * np.hypot(sigmas[rows], other_sigmas[columns])
     return np.asarray((apart_m - told_m[rows, columns] - errors_m)[compared])
+
+
+def _directions(T_odom_submap: Array64) -> Array64:
+    """Unit vectors (n, 3) in which a drive goes on at its submaps; zero where it stands."""
+    places = T_odom_submap[:, :3, 3]
+    steps = np.gradient(places, axis=0) if len(places) > 1 else np.zeros_like(places)
+    return np.asarray(steps / np.maximum(np.linalg.norm(steps, axis=1), 1e-9)[:, None])
 
 
 def _distances(some: Array64, others: Array64) -> Array64:

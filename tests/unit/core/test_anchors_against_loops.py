@@ -95,3 +95,61 @@ def test_fixes_that_state_a_large_error_say_nothing():
 
 def test_a_receiver_without_a_fix_says_nothing():
     assert refuted(fixes("a", SAME), fixes("b", lambda n: (5e6, 3e6) if n < 25 else SAME)) == set()
+
+
+def bent_drive(submaps=160) -> np.ndarray:
+    """A drive around blocks of 250 m."""
+    poses = [np.eye(4)]
+    for n in range(submaps - 1):
+        turn = np.radians(18.0) * (1 if n // 100 % 2 == 0 else -1) if n % 50 >= 45 else 0.0
+        poses.append(poses[-1] @ se3.from_yaw(turn, (STEP_M, 0.0, 0.0)))
+    return np.stack(poses)
+
+
+def fixes_on(poses, session, ahead=0, shift=(0.0, 0.0), each=1, sigma=0.01, noise=1.5, at=lambda n: (0.0, 0.0)):
+    """Fixes of a drive, `each` a submap, told `ahead` submaps before it is there; `at`, errors of the fix by number."""
+    found = []
+    for number in range((len(poses) - ahead) * each):
+        n, on = divmod(number, each)
+        point = np.array([STEP_M * on / each, 0.0, 0.0])
+        error = RANDOM.normal(0.0, noise, 2) + shift + at(number)
+        place = se3.apply(poses[n + ahead], point[None])[0] + [*error, 0.0]
+        covariance = np.diag([sigma**2, sigma**2, 9.0])
+        found.append(Anchor(f"{session}:{number}", Node(session, n), point, place, covariance))
+    return found
+
+
+def refuted_on(poses, a, b):
+    T = se3.from_yaw(0.0, (0.4, 0.3, 0.0))
+    some = [LoopEdge(f"{n}", Node("a", n), Node("b", n), T, np.eye(6)) for n in range(0, len(poses), 2)]
+    return refuted_by_anchors({"a": poses, "b": poses}, some, [*a, *b])
+
+
+@pytest.mark.parametrize("seconds", [10, 18])
+def test_a_clock_that_is_wrong_refutes_nothing_and_hides_no_twin_of_others(seconds):
+    """A car at 20 m/s, a fix each second; clocks of satellites are 18 s ahead."""
+    poses = bent_drive()
+    late = fixes_on(poses, "b", ahead=seconds * 4)[::4]
+    assert refuted_on(poses, fixes_on(poses, "a")[::4], late) == set()
+    twin = fixes_on(poses, "b", shift=(0.0, 260.0))[::4]
+    assert len(refuted_on(poses, fixes_on(poses, "a")[::4], twin)) >= 78
+
+
+def test_reflections_for_half_a_minute_refute_nothing_of_a_slow_robot():
+    """A robot at 1.5 m/s, a fix each second, two times 30 s of which are 44 m aside."""
+    poses = bent_drive(80)
+
+    def reflected(number):
+        return (0.0, 44.0) if 60 <= number < 90 or 160 <= number < 190 else (0.0, 0.0)
+
+    a, b = (fixes_on(poses, one, each=3, at=errors) for one, errors in (("a", lambda n: (0.0, 0.0)), ("b", reflected)))
+    assert refuted_on(poses, a, b) == set()
+
+
+def test_a_twin_nearby_is_refuted_where_one_drive_passes_both():
+    poses = drive()
+    false = [
+        LoopEdge(f"{n}", Node("a", n), Node("a", n + 14), se3.from_yaw(0.0, (0.4, 0.3, 0.0)), np.eye(6))
+        for n in range(26)
+    ]
+    assert len(refuted_by_anchors({"a": poses}, false, fixes("a", SAME))) >= 24
