@@ -167,11 +167,14 @@ def _only(task: MapTask, numbers: set[int]) -> MapTask:
         rows = [row for row, number in enumerate(track.submaps) if number in numbers]
         if rows:
             submaps = tuple(track.submaps[row] for row in rows)
-            tracks.append(replace(track, submaps=submaps, T_odom_submap=track.T_odom_submap[rows]))
+            behind = np.searchsorted(rows, track.jumps, side="right") - 1
+            jumps = tuple(int(one) for one in np.unique(behind) if 0 <= one < len(rows) - 1)
+            tracks.append(replace(track, submaps=submaps, T_odom_submap=track.T_odom_submap[rows], jumps=jumps))
             ids.append(session_id)
     kept = [row for row, loop in enumerate(task.graph.loops) if {loop.match, loop.query} <= numbers]
     loops: tuple[LoopRecord, ...] = tuple(task.loops[row] for row in kept)
-    graph = replace(task.graph, tracks=tuple(tracks), loops=tuple(task.graph.loops[row] for row in kept))
+    fixed = tuple(one for one in task.graph.fixed if one.submap in numbers)
+    graph = replace(task.graph, tracks=tuple(tracks), loops=tuple(task.graph.loops[row] for row in kept), fixed=fixed)
     return replace(task, graph=graph, session_ids=tuple(ids), loops=loops)
 
 
