@@ -20,6 +20,10 @@ Array64 = NDArray[np.float64]
 JUMP_M, TIMES_AS_LONG, TIMES_AS_FAST = 15.0, 3.0, 5.0
 """Metres of a step, its length over the median, and its speed over that of the steps near it: a jump is beyond all."""
 
+LEAST_SPEED, TIMES_THE_FASTEST = 2.5, 1.5
+"""Metres a second, and times the speed that one step in ten of a session is beyond: slower ways are driven. A robot
+that works from stop to stop, or is in a jam, is slow beside a way without stops."""
+
 NEAR_STEPS = 2
 """Steps before and behind, all of which are slower: a robot that speeds up goes on so."""
 
@@ -33,9 +37,11 @@ def jumps(T_odom_submap: Array64, stamps_ns: NDArray[np.int64]) -> tuple[int, ..
     if len(seconds) <= 2 * NEAR_STEPS or (seconds <= 0.0).any():
         return ()
     steps_m = np.linalg.norm(np.diff(T_odom_submap[:, :3, 3], axis=0), axis=1)
-    speeds = np.pad(steps_m / seconds, NEAR_STEPS)
-    beside = [np.roll(speeds, by) for by in range(-NEAR_STEPS, NEAR_STEPS + 1) if by]
-    fast = (speeds > TIMES_AS_FAST * np.max(beside, axis=0))[NEAR_STEPS:-NEAR_STEPS]
+    speeds = steps_m / seconds
+    around = np.pad(speeds, NEAR_STEPS)
+    beside = [np.roll(around, by)[NEAR_STEPS:-NEAR_STEPS] for by in range(-NEAR_STEPS, NEAR_STEPS + 1) if by]
+    driven = max(LEAST_SPEED, TIMES_THE_FASTEST * float(np.quantile(speeds, 0.9, method="lower")))
+    fast = speeds > np.maximum(driven, TIMES_AS_FAST * np.max(beside, axis=0))
     return tuple(np.flatnonzero(fast & (steps_m > max(JUMP_M, TIMES_AS_LONG * float(np.median(steps_m))))).tolist())
 
 

@@ -59,6 +59,23 @@ def test_a_robot_that_stops_often_and_one_whose_times_are_not_known_have_not_jum
     assert jumps(poses[:3], stamps[:3]) == ()
 
 
+@pytest.mark.parametrize(("stop_s", "way_m", "way_s"), [(60.0, 100.0, 67.0), (60.0, 40.0, 40.0), (110.0, 60.0, 40.0)])
+def test_a_way_without_stops_of_a_robot_that_works_from_stop_to_stop_is_no_jump(stop_s, way_m, way_s):
+    """5 m in 5 s and a stop; then a way at 1 to 1.5 m/s on which no scan came."""
+    poses, stamps = drive(), times(5.0 + stop_s)
+    poses[AT:, :3, 3] += se3.from_yaw(0.4)[:3, :3] @ (way_m - 5.0, 0.0, 0.0)
+    stamps[AT:] += round((way_s - 5.0 - stop_s) * SECOND)
+    assert jumps(poses, stamps) == ()
+
+
+def test_a_car_in_a_jam_that_has_driven_as_fast_before_has_not_jumped():
+    """5 m in 0.4 s, then in 5 s; 100 m in 10 s in between, without scans."""
+    poses, stamps = drive(), np.cumsum(np.where(np.arange(SUBMAPS) < 10, 0.4, 5.0) * SECOND).astype(np.int64)
+    poses[AT:, :3, 3] += se3.from_yaw(0.4)[:3, :3] @ (95.0, 0.0, 0.0)
+    stamps[AT:] += 5 * SECOND
+    assert jumps(poses, stamps) == ()
+
+
 def test_a_drive_that_begins_anew_keeps_its_loops_and_its_place_and_is_told():
     first, second = drive(), began_anew(drive())
     tracks = [
