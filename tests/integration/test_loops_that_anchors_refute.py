@@ -5,9 +5,13 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
+import pytest
+
 from revisit.core.pose_graph.graph import GraphState
 from revisit.service.domain.identity import SessionKey
-from tests.support.fleet_in_service import fleet_in
+from revisit.service.features.merging.calls import MergeMap
+from tests.support.fake_merger import FakeMerger
+from tests.support.fleet_in_service import fleet_in, fleet_in_two
 from tests.support.made_up_anchors import new_anchors, with_stamps
 from tests.support.service_world import TENANT, memory_world
 
@@ -50,4 +54,22 @@ async def test_loops_with_a_twin_are_set_aside_with_the_reason_and_return_with_t
     for one in elsewhere:
         await world.use_cases.anchors.delete(TENANT, "town", "s1", one.anchor_id)
     assert (await optimised(world))["frames"] == 1
+    world.context.transactions.close()
+
+
+@pytest.mark.parametrize(("is_twin", "refusal"), [(True, "ANCHORS_DISAGREE"), (False, None)])
+async def test_a_merge_with_a_twin_that_lies_elsewhere_on_earth_is_refused(is_twin, refusal):
+    world = memory_world()
+    made = fleet_in_two(world, ("town", "other"), sessions=2, submaps=40, per_pair=0).fleet
+    world.merger = FakeMerger()
+    for map_id, session in (("town", "s0"), ("other", "s1")):
+        with_stamps(world, map_id)
+        told = new_anchors(made, session)
+        if is_twin and session == "s1":
+            told = [further_north(one) for one in told]
+        await world.use_cases.anchors.post(TENANT, SessionKey(map_id, session), told)
+    await world.use_cases.map_merges.merge(TENANT, MergeMap("town", "other", validate_only=True))
+    world.work_off()
+    (job,) = rows(world, "jobs", kind="MERGE_MAP")
+    assert job.result["refusal"] == refusal, job.result["evidence"]
     world.context.transactions.close()

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from revisit.core.geometry import geodesy, se3
 from revisit.core.geometry.se3 import pose_matrix, pose_row
+from revisit.core.merge.evidence import MergeRefusal
 from revisit.core.pose_graph.anchors import Anchor, AnchoredSession, Heading
 from revisit.core.pose_graph.anchors_against_loops import refuted_by_anchors
 from revisit.core.pose_graph.graph import LoopEdge, Node
@@ -28,9 +29,6 @@ Array64 = NDArray[np.float64]
 
 ONE_SITE_M = 100_000.0
 """Anchors of one site are not farther from most of them."""
-
-ANCHORS_DISAGREE = "ANCHORS_DISAGREE"
-"""Why a loop that anchors speak against is set aside, as its event has it."""
 
 FIRST_ANCHORS = 200
 """So many are looked at for an origin: as many as a request has."""
@@ -155,7 +153,9 @@ def loops_against(graph: MapGraph, fixed: Sequence[TrackAnchor]) -> dict[int, st
     anchors = [
         Anchor(str(one.number), nodes[one.submap], one.point_submap, one.place_enu, one.covariance) for one in fixed
     ]
-    return dict.fromkeys(sorted(map(int, refuted_by_anchors(drives, loops, anchors))), ANCHORS_DISAGREE)
+    return dict.fromkeys(
+        sorted(map(int, refuted_by_anchors(drives, loops, anchors))), MergeRefusal.ANCHORS_DISAGREE.value
+    )
 
 
 def stored_frames(frames: Iterable[FrameOnEarth], names: Mapping[int, str]) -> list[dict[str, Any]]:

@@ -11,7 +11,7 @@ import numpy as np
 from revisit.core.config import PipelineConfig
 from revisit.core.geometry import se3
 from revisit.core.geometry.se3 import Matrix4
-from revisit.core.merge.evidence import MergeEvidence, loops_refusal, surfaces_refusal
+from revisit.core.merge.evidence import MergeEvidence, MergeRefusal, loops_refusal, surfaces_refusal
 from revisit.core.pair_verdict import InitialPose, PairVerdict, RejectedLoop, RejectionReason, VerifiedLoop
 from revisit.service.domain.identity import TenantId
 from revisit.service.domain.records import SubmapRecord
@@ -123,12 +123,17 @@ class MapMerging:
         best, others = chosen(crossing)
         numbers = {-place: one for place, one in enumerate(best, 1)}
         loops = tuple(track_loop(number, one) for number, one in numbers.items())
-        spare = [track_loop(-place, one) for place, one in enumerate(others, 1 + len(best))]
+        spare = tuple(track_loop(-place, one) for place, one in enumerate(others, 1 + len(best)))
+        against = task.against((*loops, *spare))
+        loops, spare = (tuple(one for one in some if one.number not in against) for some in (loops, spare))
+        numbers = {one.number: numbers[one.number] for one in loops}
         progress("ALIGN")
         sessions, scale = frozenset(task.source.sessions), config.scene_scale
         aligned = self._merger.align(task.graph(loops), sessions, spare, scale, progress)
         limits, surfaces = self._merger.limits.scaled(scale), None
         refusal = loops_refusal(aligned.joining, limits)
+        if refusal is not None and len(against) >= limits.loops:
+            refusal = MergeRefusal.ANCHORS_DISAGREE
         if refusal is None:
             surfaces = self._surfaces(run.tenant, task, aligned, scale, progress)
             refusal = surfaces_refusal(surfaces, limits)

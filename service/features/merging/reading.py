@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from revisit.core.errors import BadField, DescriptorModelMismatch
+from revisit.core.geometry import geodesy, se3
 from revisit.core.geometry.se3 import Matrix4, pose_matrix
 from revisit.service.domain.identity import TenantId
 from revisit.service.domain.policy import Policy
@@ -114,6 +115,21 @@ class MergeTask:
 
     target: MapSide
     source: MapSide
+
+    def against(self, crossing: tuple[TrackLoop, ...]) -> dict[int, str]:
+        """The loops between both that their anchors speak against, by number, each with the reason.
+
+        None where a map has no origin: metres from unknown places say nothing of each other.
+        """
+        (first, of_first), (second, of_second) = (
+            (one.task.graph, one.task.map.origin) for one in (self.target, self.source)
+        )
+        if of_first is None or of_second is None or not first.fixed or not second.fixed:
+            return {}
+        T_first_second = se3.inverse(geodesy.T_ecef_enu(of_first)) @ geodesy.T_ecef_enu(of_second)
+        moved = (replace(one, place_enu=se3.apply(T_first_second, one.place_enu[None])[0]) for one in second.fixed)
+        both = replace(first, tracks=first.tracks + second.tracks, loops=crossing)
+        return loops_against(both, (*first.fixed, *moved))
 
     def graph(self, crossing: tuple[TrackLoop, ...]) -> MapGraph:
         """Both with the loops between them; the map that grows gives the frame, and its anchors hold it."""
