@@ -26,8 +26,8 @@ TOO_SURE = 2.0
 MOST_RAISED_M = 5.0
 """No standard deviation is raised beyond: anchors whose steps contradict the drive by more are wrong."""
 
-LEAST_STEPS, STEP_M = 8, 15.0
-"""So many steps between anchors, no longer than this, tell how sure a receiver is."""
+LEAST_STEPS, STEP_M = 8, 30.0
+"""So many steps between anchors, no longer than this, tell how sure a receiver is: a car has a fix in 20 m."""
 
 STEP_DRIFT = 0.02
 """Of its length a step of the drive may err by, one standard deviation."""

@@ -37,6 +37,14 @@ def test_a_receiver_that_states_a_centimetre_and_errs_by_metres_counts_as_it_err
     assert error_m(made, answer) < 0.7 and min(held(anchors, answer, one) for one in made.truth) > 0.9
 
 
+def test_a_receiver_that_tells_a_fix_in_twenty_metres_counts_as_it_errs() -> None:
+    made = fleet(5, 0.0, sessions=3, submaps=60, per_pair=25)
+    anchors = [one for one in fixes(made, 1, 1.5) if one.node.ordinal % 4 == 0]
+    sure = [replace(one, covariance=1e-4 * np.eye(3)) if one.node.session == "s0" else one for one in anchors]
+    (told,) = optimise(made.graph, anchors=sure).georeferences[0].sessions
+    assert told.session == "s0" and 50.0 < told.sigma_factor < 300.0 and not told.elsewhere
+
+
 def test_a_fleet_whose_receivers_all_state_too_little_lies_on_earth() -> None:
     made = fleet(5, 0.0, sessions=2, submaps=40, per_pair=15)
     anchors = [replace(one, covariance=one.covariance / 100.0) for one in fixes(made, 3, 3.0)]
