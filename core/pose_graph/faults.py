@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from enum import StrEnum
 
@@ -10,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from revisit.core.geometry import se3, se3_rows
+from revisit.core.geometry.path import travelled_m
 from revisit.core.pose_graph.graph import Trajectory
 
 Array64 = NDArray[np.float64]
@@ -90,6 +92,24 @@ def doubt(T_map_submap: Array64, others: Array64) -> Array64:
     """The covariances (n, 6, 6) that poses (n, 4, 4) have beyond their own where they may as well be others."""
     apart = se3_rows.log(se3_rows.inverse(T_map_submap) @ others)
     return np.asarray(apart[:, :, None] * apart[:, None, :])
+
+
+def torn(track: Trajectory, mended: Array64, faults: Iterable[OdometryFault], window_m: float) -> Array64:
+    """The covariances (n, 6, 6) that submaps have beyond their own whose windows a broken step may lie within, of
+    `window_m` metres of the way around them: their clouds, and so their loops, hold either side of it.
+
+    `mended` (n, 4, 4): the odometry without the `faults` of the session. Zero for steps longer than a window, which
+    ends there.
+    """
+    found = np.zeros((len(track), 6, 6))
+    along_m, right = travelled_m(mended[:, :3, 3]), steps_of(replace(track, T_odom_submap=mended))
+    errors = se3_rows.log(se3_rows.inverse(right) @ steps_of(track))
+    for fault in faults:
+        error = errors[fault.first : fault.last].sum(axis=0)
+        if fault.kind.is_at_once and np.linalg.norm(error[:3]) < window_m:
+            beside_m = np.maximum(along_m[fault.first] - along_m, along_m - along_m[fault.last])
+            found[beside_m < window_m / 2.0] += np.outer(error, error)
+    return found
 
 
 def steps_of(track: Trajectory) -> Array64:

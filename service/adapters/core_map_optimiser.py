@@ -144,14 +144,18 @@ class NamedGraph:
         )
 
     def _track(self, track: SessionTrack, optimised: OptimisedGraph) -> OptimisedTrack:
+        from revisit.core.pose_graph.faults import torn
+
         name = self.names[track.session_number]
+        its = [one for one in optimised.faults if one.session == name and not one.undecided]
+        drive, mended = self.posed.by_session[name], optimised.T_odom_submap[name]
         group = next(group for group in optimised.components if name in group)
         return OptimisedTrack(
             session_number=track.session_number,
             anchor=next(number for number, known in self.names.items() if known == group[0]),
             T_map_odom=optimised.T_map_odom(self.posed.by_session[name]),
             T_map_submap=optimised.T_map_submap[name],
-            covariances=optimised.covariances[name],
+            covariances=optimised.covariances[name] + torn(drive, mended, its, self.graph.window_m),
         )
 
 

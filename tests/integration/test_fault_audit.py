@@ -212,6 +212,18 @@ async def test_a_robot_that_was_lifted_and_turned_is_told_and_mended_by_the_surf
     assert (codes, summary["loops_set_aside"], off_m < 0.5) == (["odometry_turn"], 0, True)
 
 
+async def test_submaps_whose_windows_hold_a_slip_are_as_unsure_as_it_is_long():
+    world = memory_world()
+    slipped_fleet_in(world, "town")
+    await world.use_cases.map_versions.optimise(TENANT, "town")
+    world.work_off()
+    listed = (await world.use_cases.map_versions.poses(TENANT, "town", 1, PageRequest(500))).items
+    sigmas = {(one.key.session_id, n % 60): np.sqrt(np.trace(one.covariance[:3, :3])) for n, one in enumerate(listed)}
+    unsure = sorted(key for key, sigma in sigmas.items() if sigma > 4.5)
+    assert unsure == [("s1", 29), ("s1", 30)]
+    assert max(sigma for key, sigma in sigmas.items() if key not in unsure) < 2.0
+
+
 async def test_odometry_that_begins_anew_is_told_and_the_map_is_as_good_as_without_it():
     world = memory_world()
     made = restarted_fleet_in(world, "town")
