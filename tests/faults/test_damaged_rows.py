@@ -208,6 +208,19 @@ def test_a_damaged_row_stays_named_through_changes_and_upgrades(tmp_path, driven
     assert damaged_in(database) == named
 
 
+def test_rows_with_a_damaged_text_are_named_beside_others_and_through_an_upgrade(tmp_path, driven, monkeypatch):
+    database = tmp_path / DATABASE
+    database.write_bytes((driven / DATABASE).read_bytes())
+    run(database, "UPDATE scans SET cloud_sha256 = CAST(x'ff' AS TEXT) WHERE number = 1")
+    run(database, "UPDATE scans SET stamp_ns = stamp_ns + 1 WHERE number = 2")
+    named = damaged_in(database)
+    assert named == ["scans 1", "scans 2"]
+    monkeypatch.setattr(schema, "MIGRATIONS", migrations_with_a_next_step(tmp_path))
+    monkeypatch.setattr(schema, "NEWEST_REVISION", NEXT_REVISION)
+    migration.migrate(database)
+    assert damaged_in(database) == named
+
+
 def test_a_damaged_descriptor_stays_refused_until_there_is_another(tmp_path, driven):
     database = tmp_path / DATABASE
     database.write_bytes((driven / DATABASE).read_bytes())

@@ -60,7 +60,8 @@ def seal(connection: sqlite3.Connection, damaged: Sequence[DamagedRow] = ()) -> 
     """
     add_function(connection)
     for table, columns in _tables(connection).items():
-        connection.execute(f'UPDATE "{table}" SET {COLUMN} = row_checksum({_of(None, columns)})')  # noqa: S608
+        sealed = f'UPDATE "{table}" SET {COLUMN} = row_checksum({_of(None, columns)})'  # noqa: S608
+        _among_texts(connection, table, sealed, "1")
     for row in damaged:
         where = " AND ".join(f'"{column}" IS ?' for column in row.key)
         found = connection.execute(f'SELECT {COLUMN} FROM "{row.table}" WHERE {where}', [*row.key.values()]).fetchone()  # noqa: S608
@@ -81,7 +82,8 @@ class DamagedRow:
 
 
 def damage(connection: sqlite3.Connection) -> list[DamagedRow]:
-    """The damaged rows, to be handed to `seal`: but for those of the audit log, and such as were never sealed.
+    """The damaged rows, to be handed to `seal`: but for those of the audit log, such as were never sealed, and such as
+    have a damaged text, to which nobody gives a checksum.
 
     Raises sqlite3.Error.
     """
@@ -90,9 +92,8 @@ def damage(connection: sqlite3.Connection) -> list[DamagedRow]:
     for table, columns in _tables(connection).items():
         names = [row[1] for row in connection.execute(f'PRAGMA table_info("{table}")') if row[5]]
         key, computed = ", ".join(f'"{name}"' for name in names), f"row_checksum({_of(None, columns)})"
-        rows = connection.execute(
-            f'SELECT {COLUMN}, {computed}, {key} FROM "{table}" WHERE {COLUMN} <> {computed}'  # noqa: S608
-        )
+        told = f'SELECT {COLUMN}, {computed}, {key} FROM "{table}"'  # noqa: S608
+        rows, _ = _among_texts(connection, table, told, f"{COLUMN} <> {computed}")
         found += [DamagedRow(table, dict(zip(names, its, strict=True)), *sums) for *sums, its in map(_split, rows)]
     return found
 
@@ -130,12 +131,51 @@ def damaged_rows(connection: sqlite3.Connection) -> Iterator[str]:
 
 def _wrong_rows(connection: sqlite3.Connection, table: str, columns: Sequence[str | None]) -> Iterator[str]:
     right = f"row_checksum({_of(None, columns)})"
-    wrong = f'SELECT rowid FROM "{table}" WHERE {COLUMN} IS NOT {right}'  # noqa: S608  # own schema
+    numbers = f'SELECT rowid FROM "{table}"'  # noqa: S608  # own schema
     try:
-        for (number,) in connection.execute(wrong):
-            yield f"{table} {number}"
-    except sqlite3.Error as error:  # of text that is none any more
+        rows, without = _among_texts(connection, table, numbers, f"{COLUMN} IS NOT {right}")
+        yield from (f"{table} {number}" for number in sorted([*without, *(number for (number,) in rows)]))
+    except sqlite3.Error as error:
         yield f"{table}: {error}"
+
+
+def _among_texts(
+    connection: sqlite3.Connection, table: str, statement: str, where: str
+) -> tuple[list[tuple[Any, ...]], tuple[int, ...]]:
+    """The rows of a table that a statement gives `where` that holds, and the numbers of rows with a text that is none.
+
+    No function can be given such a text, so that the statement is run without those rows. Raises sqlite3.Error.
+    """
+    try:
+        return connection.execute(f"{statement} WHERE {where}").fetchall(), ()
+    except sqlite3.Error:
+        without = tuple(_without_text(connection, table))
+        if not without:
+            raise
+        others = f"CASE WHEN rowid IN ({', '.join(map(str, without))}) THEN 0 ELSE {where} END"
+        return connection.execute(f"{statement} WHERE {others}").fetchall(), without
+
+
+def _without_text(connection: sqlite3.Connection, table: str) -> Iterator[int]:
+    """The numbers of the rows of a table with a text that is none."""
+    connection.text_factory = _text_or_none
+    try:
+        for number, *values in connection.execute(f'SELECT rowid, * FROM "{table}"'):  # noqa: S608  # own schema
+            if any(isinstance(value, _NoText) for value in values):
+                yield number
+    finally:
+        connection.text_factory = str
+
+
+class _NoText(bytes):
+    """Bytes of a text that are none."""
+
+
+def _text_or_none(data: bytes) -> str | _NoText:
+    try:
+        return data.decode()
+    except UnicodeDecodeError:
+        return _NoText(data)
 
 
 def _wrong_audit(connection: sqlite3.Connection) -> Iterator[str]:
