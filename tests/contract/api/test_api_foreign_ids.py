@@ -39,17 +39,21 @@ DOOR = NewAnchor("door", "CONTROL_POINT", 1, np.eye(3), local_m=(0.0, 0.0, 0.0),
 
 
 def rest_calls():
-    """Every call of the OpenAPI document that names a resource."""
+    """Every call of the OpenAPI document that names a resource: in its path, or in its body."""
     for path, methods in create_app(memory_world().use_cases).openapi()["paths"].items():
-        if "{" in path:
-            yield from ((method, path) for method in methods)
+        if "{" in path or path.endswith("/webhooks"):
+            yield from ((method, path) for method in methods if "{" in path or method == "post")
+
+
+NAMELESS = {
+    *("CreateMap", "CreateRobot", "ListMaps", "ListRobots", "ListWebhooks", "ListOperations", "GetStatus"),
+}
+"""The calls whose requests name no resource that there is."""
 
 
 def rpcs():
     """Every RPC whose request names a resource."""
-    for call in CALLS.values():
-        if {"name", "parent", "open"} & set(call.method.input_type.fields_by_name):
-            yield call.method
+    return [call.method for name, call in CALLS.items() if name not in NAMELESS]
 
 
 @pytest.fixture(scope="module")
@@ -98,6 +102,7 @@ def fill(client):
 MAP, SESSION, VERSION = "maps/{map}", "maps/{map}/sessions/{session}", "maps/{map}/versions/{version}"
 SUBMAP, LOOP = SESSION + "/submaps/{submap}", MAP + "/loopClosures/{loop}"
 NOTE = {"note": "mine"}
+HOOK = {"webhook_id": "new", "url": "https://hooks.example.com/mine"}
 ANCHOR = {
     "anchor_id": "new",
     "kind": "CONTROL_POINT",
@@ -110,6 +115,7 @@ PICTURE = a_png()
 PINS = [{"pixel_x": 0.0}, {"pixel_x": 9.0, "x_m": 9.0}]
 BODIES = {
     "/sessions": {"session_id": "new"},
+    "/webhooks": {**HOOK, "map_id": "{map}"},
     "/anchors": {"anchors": [ANCHOR]},
     "/anchors:preview": {"anchors": [ANCHOR]},
     "/radio": {"readings": [HEARD]},
@@ -201,6 +207,7 @@ OWN = {
     "PostRadio": {"readings": [HEARD]},
     "MergeMap": {"source": "maps/annex"},
     "RevertMap": {"version": 1},
+    "CreateWebhook": {**HOOK, "map": MAP},
     "StreamScans": {"open": {"session": SESSION}},
     "Relocalise": {"open": {"parent": MAP}},
     "MeasureMapDistances": {"points_m": [{"x": 1.0}]},
