@@ -15,7 +15,7 @@ from revisit.evaluation.simulator import OS1_64, Path, build_city, drive, simula
 
 @pytest.mark.slow
 def test_a_drive_there_and_back_closes_its_loops_at_any_heading(tmp_path: File) -> None:
-    there_and_back = Path.through([[0, 0], [60, 0], [66, 4], [60, 8], [0, 8]])
+    there_and_back = Path.through([[0, 0], [60, 0], [64, 2.5], [60, 5], [0, 5]])
     world = build_city([Path.through([[-40, 4], [100, 4]])], seed=2, drive=there_and_back)
     trajectory = drive(there_and_back, world.ground, spacing_m=2.0)
     sensor = dataclasses.replace(OS1_64, columns=512)
