@@ -10,7 +10,7 @@ from revisit.service.composition import build_blobs, build_context
 from revisit.service.domain.processes import ProcessRole
 from revisit.service.engines.findings import examine_rows
 from revisit.service.engines.local.files.disk import durable_write
-from revisit.service.engines.move import Moved, MoveRefused, Told, digest, move_blobs, move_rows, require_empty
+from revisit.service.engines.move import Moved, MoveRefused, Progress, digest, move_blobs, move_rows, require_empty
 from revisit.service.engines.state import State, state_of
 from revisit.service.features.upkeep.calls import WORKER_SEEN_WITHIN_MS
 from revisit.service.ports.blobs import BlobStore
@@ -21,7 +21,7 @@ NOTE = "moving.json"
 """The file in the data folder of the source with the target of a move under way."""
 
 
-def move_installation(source: Settings, target: Settings, told: Told) -> Moved:
+def move_installation(source: Settings, target: Settings, progress: Progress) -> Moved:
     """Copy all rows and blobs, and compare what came; goes on where an earlier move to the same target was broken off.
 
     The source stays as it is. Raises MoveRefused where a process serves either, a row of the source is damaged, the
@@ -43,8 +43,8 @@ def move_installation(source: Settings, target: Settings, told: Told) -> Moved:
         if not _goes_on(source.home, target):
             require_empty(there)
             durable_write(source.home / NOTE, _leads_to(target), is_blob=False)
-        blobs = 0 if _same_blobs(source, target) else move_blobs(rows, _blobs(source), _blobs(target), told)
-        move_rows(rows, there, told)
+        blobs = 0 if _same_blobs(source, target) else move_blobs(rows, _blobs(source), _blobs(target), progress)
+        move_rows(rows, there, progress)
         sent, came = digest(rows), digest(there)
         if sent != came:
             raise MoveRefused(f"what is at {states[1].name} differs from {states[0].name}: keep the source")

@@ -58,12 +58,12 @@ def _moved(source: Settings, target: Settings) -> Moved:
     with progress_bar(quiet=False) as bar:
         stages: dict[str, TaskID] = {}
 
-        def told(name: str, count: int) -> None:
+        def advance(name: str, count: int) -> None:
             if name not in stages:
                 stages[name] = bar.add_task(name, total=None)
             bar.advance(stages[name], count)
 
         try:
-            return move_installation(source, target, told)
+            return move_installation(source, target, advance)
         except (MoveRefused, HomeTaken, ForeignSchema, UnusableServer) as error:
             raise refuse(str(error)) from error

@@ -45,8 +45,8 @@ CHECKSUM = "checksum"
 
 Key: TypeAlias = tuple[Any, ...]
 
-Told = Callable[[str, int], None]
-"""Told of a table, or of the blobs, and how many have come."""
+Progress = Callable[[str, int], None]
+"""What has come: the name of a table, or "blobs", and the number of rows or blobs that were moved just now."""
 
 
 class MoveRefused(ValueError):
@@ -75,19 +75,19 @@ def require_empty(target: Engine) -> None:
         raise MoveRefused(f"the target has rows already, in {', '.join(filled)}")
 
 
-def move_rows(source: Engine, target: Engine, told: Told) -> None:
+def move_rows(source: Engine, target: Engine, progress: Progress) -> None:
     """Copy the rows that the target lacks. Nobody else writes to either meanwhile."""
     for table in moved_tables():
         for portion in _portions(source, table, _reached(target, table)):
             with target.begin() as writing:
                 writing.execute(insert(table), [_by_key(table, row) for row in portion])
-            told(table.name, len(portion))
+            progress(table.name, len(portion))
     with source.begin() as reading, target.begin() as writing:
         _keep_numbers(reading, writing)
         _begin_jobs_anew(writing)
 
 
-def move_blobs(rows: Engine, source: BlobStore, target: BlobStore, told: Told) -> int:
+def move_blobs(rows: Engine, source: BlobStore, target: BlobStore, progress: Progress) -> int:
     """Copy the blobs that rows refer to and the target lacks, each checked against its hash; how many there are.
 
     Raises DataLoss for one that is lost or damaged, StorageFull, StorageUncertain.
@@ -97,7 +97,7 @@ def move_blobs(rows: Engine, source: BlobStore, target: BlobStore, told: Told) -
     for tenant, kind, sha256 in addresses:
         if not target.exists(TenantId(tenant), kind, sha256):
             target.put(TenantId(tenant), kind, source.get(TenantId(tenant), kind, sha256))
-        told("blobs", 1)
+        progress("blobs", 1)
     return len(addresses)
 
 

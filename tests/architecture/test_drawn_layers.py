@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import tomllib
 
 import pytest
 
@@ -94,3 +95,10 @@ def test_every_room_stands_in_the_table_of_features_below_those_that_it_imports(
         if name.startswith("revisit.service.features.")
     }
     assert [(one, other) for one, other in arrows if one != other and line[one] <= line[other]] == []
+
+
+def test_the_contracts_find_circles_everywhere_with_type_checking_imports():
+    linter = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["importlinter"]
+    assert not linter.get("exclude_type_checking_imports", False)
+    (circles,) = (one for one in linter["contracts"] if one["type"] == "acyclic_siblings")
+    assert circles["ancestors"] == linter["root_packages"] and "ignore_imports" not in circles
