@@ -41,7 +41,7 @@ SIGMAS = 4.0
 FAR_M = 100.0
 """No receiver errs by so much more than it states, and few datums lie so far apart."""
 
-APART_M, NEAR_M, LEAST_NEAR = 40.0, 25.0, 3
+APART_M, NEAR_M, LEAST_NEAR = 45.0, 25.0, 3
 """Between drives whose anchors lie within NEAR_M of each other by so many loops, receivers agree, as one does with
 itself. There reflections alone make a difference, and hardly one is of more than APART_M beyond what is stated."""
 

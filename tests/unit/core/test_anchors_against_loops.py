@@ -146,6 +146,13 @@ def test_reflections_for_half_a_minute_refute_nothing_of_a_slow_robot():
     assert refuted_on(poses, a, b) == set()
 
 
+def test_reflections_for_half_a_minute_refute_nothing_of_a_car():
+    """At 20 m/s, a fix each second that states 1 cm; 600 m of the way are 44 m aside in one of two drives."""
+    poses = bent_drive(300)
+    b = fixes_on(poses, "b", at=lambda n: (0.0, 44.0) if 100 <= n < 220 else (0.0, 0.0))
+    assert refuted_on(poses, fixes_on(poses, "a")[::4], b[::4]) == set()
+
+
 def test_a_twin_nearby_is_refuted_where_one_drive_passes_both():
     poses = drive()
     false = [
