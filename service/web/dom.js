@@ -46,3 +46,12 @@ export function soon(work, delay_ms = 60) {
     }, delay_ms);
   };
 }
+
+/** Fill a list anew; the keyboard stays where it was, on what has the same id, or is in the row of the same name. */
+export function refill(list, ...rows) {
+  const focused = list.contains(document.activeElement) ? document.activeElement : null;
+  const name = focused?.closest("[data-name]")?.dataset.name;
+  list.replaceChildren(...rows);
+  const again = focused?.id ? byId(focused.id) : [...list.children].find((row) => name && row.dataset.name === name)?.querySelector("button, input");
+  again?.focus({ preventScroll: true });
+}

@@ -19,7 +19,7 @@ export function listen(commands, isOpen) {
     }
     const command = commands.find(([keys]) => keys.includes(event.key));
     if (!command || (isOpen() && !command[3])) return;
-    if (event.key === " " && event.target.closest("button")) return;
+    if ([" ", "Enter"].includes(event.key) && event.target.closest("button, summary, a")) return; // it is pressed itself
     event.preventDefault();
     command[2]();
   });

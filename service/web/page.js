@@ -5,7 +5,7 @@ import { AnchorList } from "/anchors.js";
 import { KeyNeeded, Refused, hasKey, read, readAll, useKey } from "/api.js";
 import { colouring } from "/colouring.js";
 import { sessionColour } from "/colours.js";
-import { byId, element, lastOf, plural, press, sessionOf, shortName, soon } from "/dom.js";
+import { byId, element, lastOf, plural, press, refill, sessionOf, shortName, soon } from "/dom.js";
 import { DriveChanges } from "/drives.js";
 import { Watch } from "/events.js";
 import { connectExports, saveSubmap } from "/exports.js";
@@ -362,7 +362,7 @@ function renderSessions() {
       element("button", { type: "button", class: "link only", title: "Show this session alone", onclick: () => showAlone(session.name) }, "only"),
     );
   });
-  byId("sessions").replaceChildren(...(rows.length ? rows : [element("li", { class: "nothing" }, "No sessions yet")]));
+  refill(byId("sessions"), ...(rows.length ? rows : [element("li", { class: "nothing" }, "No sessions yet")]));
   byId("all-sessions").hidden = !model.hidden.size;
 }
 
@@ -392,7 +392,7 @@ function renderLoops(loops) {
   if (loops.length > model.listed) {
     rows.push(element("li", { class: "more" }, element("button", { type: "button", class: "link", onclick: showMore }, `show ${Math.min(LISTED_AT_ONCE, loops.length - model.listed)} more of ${loops.length.toLocaleString("en")}`)));
   }
-  byId("loops").replaceChildren(...(rows.length ? rows : [element("li", { class: "nothing" }, nothingListed())]));
+  refill(byId("loops"), ...(rows.length ? rows : [element("li", { class: "nothing" }, nothingListed())]));
 }
 
 function nothingListed() {
@@ -538,7 +538,7 @@ function stepPair(by) {
   if (pair.isOpen) openPair(next);
   else {
     select({ loop: next });
-    byId("loops").querySelector(".chosen")?.scrollIntoView({ block: "nearest" });
+    byId("loops").querySelector(".chosen button")?.focus(); // which scrolls there
   }
 }
 
@@ -855,4 +855,4 @@ connect();
 run();
 
 /** For tests: where a submap is drawn, and what is drawn. */
-globalThis.revisitPage = { model, whereIs: (name) => view?.whereIs(name), view: () => view, openPair, select, pair };
+globalThis.revisitPage = { model, whereIs: (name) => view?.whereIs(name), view: () => view, openPair, select, pair, render };

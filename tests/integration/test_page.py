@@ -175,6 +175,31 @@ def test_a_submap_that_is_clicked_is_told_of(page):
     assert not card.is_visible()
 
 
+FOCUSED = "document.activeElement.id || document.activeElement.closest('[data-name]')?.dataset.name || ''"
+
+
+def test_the_keyboard_alone_presses_buttons_and_opens_loop_closures_and_keeps_its_place(page):
+    page.tab.locator("#states button").nth(1).focus()
+    page.tab.keyboard.press("Enter")
+    assert page.tab.locator("#states button").nth(1).get_attribute("aria-pressed") == "false"
+    page.tab.keyboard.press("Enter")
+    page.tab.locator("#session-0").focus()
+    for _ in range(2):
+        page.tab.keyboard.press(" ")
+        page.tab.wait_for_timeout(100)
+        assert page.tab.evaluate(FOCUSED) == "session-0"
+    page.tab.locator("#loops button").nth(1).focus()
+    chosen = page.tab.evaluate(FOCUSED)
+    page.tab.evaluate("revisitPage.render()")
+    assert chosen and page.tab.evaluate(FOCUSED) == chosen
+    page.tab.keyboard.press("Enter")
+    page.tab.locator("dialog[open]").wait_for()
+    assert page.data("selected") == chosen
+    page.tab.keyboard.press("Escape")
+    page.tab.keyboard.press("Escape")
+    assert page.tab.evaluate(FOCUSED) == chosen
+
+
 @pytest.mark.slow
 def test_a_session_that_is_switched_off_goes_with_its_loop_closures(page):
     page.tab.locator("#sessions input").nth(1).uncheck()
