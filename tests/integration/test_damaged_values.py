@@ -171,6 +171,29 @@ def test_what_is_done_for_all_tenants_goes_on_beside_a_damaged_map(world, tmp_pa
     assert not store.read(lambda uow: uow.maps.of_all_tenants(after=found[-1].number, limit=limit)).result()
 
 
+def test_whoever_reads_after_a_read_that_met_damage_reads_what_was_written_since(world, tmp_path):
+    store = world.context.transactions
+    store.write(lambda uow: add_pair(uow, {})).result()
+    run(tmp_path / DATABASE, "UPDATE submaps SET position_m = 'x'")
+    with pytest.raises(DataLoss) as met:
+        store.read_here(lambda uow: uow.submaps.find(TENANT))
+    store.write(lambda uow: uow.maps.add(replace(a_map(), map_id="later"))).result()
+    assert "later" in {one.map_id for one in store.read_here(every_map)}
+    assert met.value  # whoever holds the error holds no snapshot
+
+
+def test_whoever_writes_after_a_write_that_met_damage_is_not_held_up_by_it(world, tmp_path):
+    store = world.context.transactions
+    store.write(lambda uow: add_pair(uow, {})).result()
+    run(tmp_path / DATABASE, "UPDATE submaps SET position_m = 'x'")
+    with pytest.raises(DataLoss) as met:
+        store.write(lambda uow: uow.submaps.find(TENANT)).result()
+    run(tmp_path / DATABASE, "UPDATE maps SET display_name = 'by another process'")
+    store.write(lambda uow: uow.maps.add(replace(a_map(), map_id="later"))).result()
+    assert {one.display_name for one in store.read_here(every_map)} == {"by another process", a_map().display_name}
+    assert met.value
+
+
 def test_a_change_of_a_row_with_a_damaged_text_is_data_loss(world, tmp_path):
     store = world.context.transactions
     store.write(lambda uow: uow.maps.add(a_map())).result()

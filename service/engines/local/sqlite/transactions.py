@@ -15,6 +15,7 @@ from __future__ import annotations
 import fcntl
 import os
 import time
+import traceback
 from collections import deque
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -114,7 +115,7 @@ class SqliteTransactions:
 
     def read_here(self, work: Callable[[UnitOfWork], T]) -> T:
         """See `Transactions`."""
-        with self._failures.translated(), self._to_read() as connection, connection.begin():
+        with self._failures.translated(), self._to_read() as connection, connection.begin(), _cursors_closed():
             return work(self._unit_of_work(connection))
 
     def version(self) -> int | None:
@@ -164,10 +165,24 @@ class SqliteTransactions:
                 connection.close()
 
     def _noted(self, connection: Connection, work: Callable[[UnitOfWork], T]) -> T:
-        return noted(connection, lambda: work(self._unit_of_work(connection)))
+        with _cursors_closed():
+            return noted(connection, lambda: work(self._unit_of_work(connection)))
 
     def _unit_of_work(self, connection: Connection) -> UnitOfWork:
         return SqlUnitOfWork(connection, self._engine, self._lease_ms, self._clock)
+
+
+@contextmanager
+def _cursors_closed() -> Iterator[None]:
+    """Work that an error ends among its rows leaves no cursor: a snapshot stays open as long as one of its readers.
+
+    The frames of the error would hold it, for as long as anybody holds the error.
+    """
+    try:
+        yield
+    except Exception as error:
+        traceback.clear_frames(error.__traceback__)
+        raise
 
 
 class WriterLock:
