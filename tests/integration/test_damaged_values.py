@@ -216,11 +216,12 @@ async def test_webhooks_of_others_are_told_beside_a_damaged_one(world, tmp_path,
     assert [one.webhook_id for one in due().result()] == ["second"]
 
 
-async def test_retention_goes_on_beside_a_damaged_map(world, tmp_path):
+@pytest.mark.parametrize("damage", ["flags", "described_at_ns"])
+async def test_retention_goes_on_beside_a_damaged_map(world, tmp_path, damage):
     for map_id in ("one", "two"):
         await driven(world, 20, SessionKey(map_id, "monday"))
         await policy_set(world, "scans=none", map_id)
-    run(tmp_path / DATABASE, "UPDATE submaps SET flags = 'x' WHERE map_id = 'one'")
+    run(tmp_path / DATABASE, f"UPDATE submaps SET {damage} = 'x' WHERE map_id = 'one'")
     await world.context.retention.all()
     assert stored_seqs(world, SessionKey("two", "monday")) == []
     assert stored_seqs(world, SessionKey("one", "monday")) != []
@@ -288,12 +289,21 @@ def lose_all(index: PlaceVectorIndex, map_number: int) -> None:
     index._of(map_number).seq = seq
 
 
-async def test_a_service_starts_beside_a_damaged_map(world, tmp_path):
+@pytest.mark.parametrize(
+    "damage",
+    [
+        "UPDATE submaps SET position_m = 'x' WHERE map_id = 'one'",
+        "UPDATE submaps SET ordinal = 'x' WHERE map_id = 'one'",
+        "UPDATE submaps SET descriptor = 'x' WHERE map_id = 'one'",
+        "UPDATE index_changes SET seq = 'x' WHERE map_number = (SELECT number FROM maps WHERE map_id = 'one')",
+    ],
+)
+async def test_a_service_starts_beside_a_damaged_map(world, tmp_path, damage):
     for map_id in ("one", "two"):
         await open_session(world, SessionKey(map_id, "monday"))
         await world.use_cases.posting.post(TENANT, submap("a", 1, SessionKey(map_id, "monday")))
     world.work_off()
-    run(tmp_path / DATABASE, "UPDATE submaps SET position_m = 'x' WHERE map_id = 'one'")
+    run(tmp_path / DATABASE, damage)
     index, health = PlaceVectorIndex(FaissIndex), IndexHealth()
     await replace(world.context, index=index, index_health=health).index_keeper().load()
     numbers = {record.map_id: record.number for record in world.context.transactions.read(every_map).result()}

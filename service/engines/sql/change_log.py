@@ -13,10 +13,19 @@ from revisit.service.domain.records import MapRecord
 from revisit.service.engines.sql import tables
 from revisit.service.engines.sql.checksums import sound_descriptor
 from revisit.service.engines.sql.map_numbers import note_changes
+from revisit.service.engines.sql.packed_columns import of_kinds
 from revisit.service.ports.index import IndexChange
 
 SESSION_REMOVED = "SESSION_REMOVED"
 """The kind of a change of all submaps of a session: the session's number stands in place of theirs."""
+
+_changes, _submaps = tables.index_changes.c, tables.submaps.c
+_CHANGE = [
+    *(_changes.seq, _changes.kind, _changes.submap_number),
+    *(_submaps.session_number, _submaps.ordinal, _submaps.position_m, _submaps.descriptor, _submaps.checksum),
+]
+_OF_SUBMAP = 3
+"""The first column of a change that is of its submap, which may have gone."""
 
 
 class SqlChangeLog:
@@ -47,20 +56,18 @@ class SqlChangeLog:
         """See `ChangeLog`."""
         asked = {"its_tenant": tenant, "its_map": map_number, "after": seq, "at_most": limit}
         query = _changes_since(limited=limit is not None)
-        return [_change(row) for row in self._connection.execute(query, asked)]
+        return [_change(row) for row in of_kinds(_CHANGE, self._connection.execute(query, asked), _OF_SUBMAP)]
 
 
 @cache
 def _changes_since(*, limited: bool) -> Select[Any]:
     """Takes `its_tenant`, `its_map` and `after`, and `at_most` where `limited`."""
-    changes, submaps = tables.index_changes.c, tables.submaps.c
     since = (
-        select(changes.seq, changes.kind, changes.submap_number, submaps.session_number, submaps.ordinal)
-        .add_columns(submaps.position_m, submaps.descriptor, submaps.checksum)
-        .outerjoin_from(tables.index_changes, tables.submaps, submaps.number == changes.submap_number)
-        .where(changes.tenant == bindparam("its_tenant"), changes.map_number == bindparam("its_map"))
-        .where(changes.seq > bindparam("after"))
-        .order_by(changes.seq)
+        select(*_CHANGE)
+        .outerjoin_from(tables.index_changes, tables.submaps, _submaps.number == _changes.submap_number)
+        .where(_changes.tenant == bindparam("its_tenant"), _changes.map_number == bindparam("its_map"))
+        .where(_changes.seq > bindparam("after"))
+        .order_by(_changes.seq)
     )
     return since.limit(bindparam("at_most")) if limited else since
 

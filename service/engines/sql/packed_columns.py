@@ -10,7 +10,7 @@ from __future__ import annotations
 import json
 import struct
 import zlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import partial
 from typing import Any, ClassVar, TypeVar
 
@@ -101,11 +101,33 @@ def require_kinds(table: Table, row: Row[Any]) -> None:
     kinds = tuple(map(type, row))
     known = table.info.setdefault(_KNOWN, set())
     if kinds not in known:
-        for column, kind in zip(table.columns, kinds, strict=False):
-            if not _fits(column, kind):
-                _log.error("row_damaged", table=table.name, row=row[0], column=column.name)
-                raise RowDamaged(f"row {row[0]} of {table.name} is damaged: {column.name} is no {column.type}"[:200])
+        require_values(table.columns, row)
         known.add(kinds)
+
+
+def of_kinds(
+    columns: Sequence[Column[Any]], rows: Iterable[Sequence[Any]], joined: int | None = None
+) -> Iterator[tuple[Any, ...]]:
+    """The rows of a query for these columns, each value of the kind of its column. Raises RowDamaged.
+
+    Those from the column `joined` on are of an outer join: where that one is null, all are.
+    """
+    known = set[tuple[type, ...]]()
+    for row in map(tuple, rows):
+        kinds = tuple(map(type, row))
+        if kinds not in known:
+            require_values(columns[: joined if joined is not None and row[joined] is None else None], row)
+            known.add(kinds)
+        yield row
+
+
+def require_values(columns: Iterable[Column[Any]], row: Sequence[Any]) -> None:
+    """Require that each value is of the kind of its column; the first one is the number. Raises RowDamaged."""
+    for column, value in zip(columns, row, strict=False):
+        if not _fits(column, type(value)):
+            table = column.table.name
+            _log.error("row_damaged", table=table, row=row[0], column=column.name)
+            raise RowDamaged(f"row {row[0]} of {table} is damaged: {column.name} is no {column.type}"[:200])
 
 
 def read_stored(read: Callable[[Any], T], value: Any) -> T:

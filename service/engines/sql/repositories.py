@@ -49,7 +49,7 @@ from revisit.service.engines.sql import tables
 from revisit.service.engines.sql.checksums import sound_descriptor
 from revisit.service.engines.sql.engine import DatabaseEngine
 from revisit.service.engines.sql.map_numbers import note_submap
-from revisit.service.engines.sql.packed_columns import RowDamaged, read_stored, require_kinds
+from revisit.service.engines.sql.packed_columns import RowDamaged, of_kinds, read_stored, require_kinds
 from revisit.service.engines.sql.presence import present
 from revisit.service.ports.repositories import FoundSubmap, PathPoint, PlacedSubmap, SubmapStanding
 
@@ -368,9 +368,9 @@ class SqlSubmaps(SqlRepository[SubmapRecord]):
     def standings(self, tenant: TenantId, map_id: str, session_id: str | None = None) -> list[SubmapStanding]:
         """See `SubmapRepository`."""
         asked = of_tenant(tenant, {"map_id": map_id} | ({} if session_id is None else {"session_id": session_id}))
-        columns = (tables.submaps.c[field.name] for field in dataclasses.fields(SubmapStanding))
+        columns = [tables.submaps.c[field.name] for field in dataclasses.fields(SubmapStanding)]
         query = select(*columns).where(self._where(asked)).order_by(tables.submaps.c.number)
-        return [SubmapStanding(*row) for row in self._connection.execute(query, asked)]
+        return [SubmapStanding(*row) for row in of_kinds(columns, self._connection.execute(query, asked))]
 
     def first_waiting(self, tenant: TenantId, map_id: str) -> int | None:
         """See `SubmapRepository`."""
