@@ -69,7 +69,7 @@ def test_nothing_is_wrong_with_what_a_service_has_written(filled):
         ("DELETE FROM sessions", "references", "3 rows whose parent is gone"),
         ("UPDATE submaps SET descriptor = overlay(descriptor placing '\\x00000042' from 1) WHERE ordinal = 1", "rows",
          "submaps 2"),
-        ("UPDATE scans SET \"T_odom_sensor\" = '\\x99'", "rows", "scans: "),
+        ("UPDATE scans SET \"T_odom_sensor\" = '\\x99'", "rows", "scans: row "),
         ("UPDATE audit_log SET actor = 'eve' WHERE number = 2", "rows", "audit_log: "),
         ("DELETE FROM audit_log WHERE number = 3", "rows", "audit_log: "),
     ],

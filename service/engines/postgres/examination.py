@@ -9,10 +9,11 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
-from sqlalchemy import Connection, ForeignKeyConstraint, and_, create_engine, exists, func, select, text
+from sqlalchemy import Connection, ForeignKeyConstraint, Table, and_, create_engine, exists, func, select, text
 from sqlalchemy.engine import URL
 from sqlalchemy.exc import DBAPIError
 
+from revisit.core.errors import DataLoss
 from revisit.service.domain.identity import TenantId
 from revisit.service.engines.findings import Finding, examine_blobs, examine_references, examine_rows
 from revisit.service.engines.postgres.connections import CONNECTING
@@ -106,11 +107,23 @@ def _damaged_rows(connection: Connection) -> Iterator[str]:
             for row in connection.execute(select(table), execution_options=IN_TURN):
                 if table is submaps and row.descriptor is not None and not is_sound(row.descriptor, None):
                     yield f"submaps {row.number}"
+        except DataLoss:
+            yield from _unreadable(connection, table)
         except (DBAPIError, ValueError, TypeError) as error:
             yield f"{table.name}: {str(error).splitlines()[0][:160]}"
         finally:
             reading.rollback()
     yield from _wrong_audit(connection)
+
+
+def _unreadable(connection: Connection, table: Table) -> Iterator[str]:
+    """The rows of a table that are in no stored form, read one by one."""
+    keys = [*table.primary_key.columns]
+    for key in connection.execute(select(*keys)).all():
+        try:
+            connection.execute(select(table).where(*(own == value for own, value in zip(keys, key, strict=True)))).all()
+        except DataLoss:
+            yield f"{table.name}: row {', '.join(map(str, key))} cannot be read"
 
 
 def _wrong_audit(connection: Connection) -> Iterator[str]:
