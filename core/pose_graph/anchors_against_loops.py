@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from revisit.core.geometry import se3
+from revisit.core.geometry.path import travelled_m
 from revisit.core.pose_graph.anchors import Anchor
 from revisit.core.pose_graph.graph import LoopEdge, Node
 
@@ -74,8 +75,7 @@ class _AnchoredDrive:
     @classmethod
     def of(cls, T_odom_submap: Array64, anchors: Sequence[Anchor]) -> _AnchoredDrive:
         """A drive with at least one anchor."""
-        steps_m = np.linalg.norm(np.diff(T_odom_submap[:, :3, 3], axis=0), axis=1)
-        along_m = np.concatenate([[0.0], np.cumsum(steps_m)])
+        along_m = travelled_m(T_odom_submap[:, :3, 3])
         ordinals = np.array([one.node.ordinal for one in anchors])
         T = T_odom_submap[ordinals]
         ahead = np.einsum("nij,nj->ni", T[:, :3, :3], np.array([one.point_submap for one in anchors]))
@@ -162,7 +162,7 @@ def _excess_m(match: _AnchoredDrive, query: _AnchoredDrive, loop: LoopEdge) -> A
     others, other_places, other_sigmas = query.beside(loop.query.ordinal)
     if min(len(points), len(others)) < LEAST_BESIDE:
         return None
-    told_m = _distances(points, se3.apply(loop.T_match_query, others))
+    told_m = np.linalg.norm(points[:, None] - se3.apply(loop.T_match_query, others)[None], axis=2)
     rows = np.concatenate([np.arange(len(points)), told_m.argmin(axis=0)])
     columns = np.concatenate([told_m.argmin(axis=1), np.arange(len(others))])
     apart_m = np.linalg.norm(places[rows] - other_places[columns], axis=1)
@@ -178,10 +178,6 @@ def _directions(T_odom_submap: Array64) -> Array64:
     places = T_odom_submap[:, :3, 3]
     steps = np.gradient(places, axis=0) if len(places) > 1 else np.zeros_like(places)
     return np.asarray(steps / np.maximum(np.linalg.norm(steps, axis=1), 1e-9)[:, None])
-
-
-def _distances(some: Array64, others: Array64) -> Array64:
-    return np.asarray(np.linalg.norm(some[:, None] - others[None], axis=2))
 
 
 def _most(excess_m: Array64 | None, above: float = -np.inf, below: float = np.inf) -> bool:

@@ -101,12 +101,14 @@ def torn(track: Trajectory, mended: Array64, faults: Iterable[OdometryFault], wi
     `mended` (n, 4, 4): the odometry without the `faults` of the session. Zero for steps longer than a window, which
     ends there.
     """
-    found = np.zeros((len(track), 6, 6))
+    found, at_once = np.zeros((len(track), 6, 6)), [one for one in faults if one.kind.is_at_once]
+    if not at_once:
+        return found
     along_m, right = travelled_m(mended[:, :3, 3]), steps_of(replace(track, T_odom_submap=mended))
     errors = se3_rows.log(se3_rows.inverse(right) @ steps_of(track))
-    for fault in faults:
+    for fault in at_once:
         error = errors[fault.first : fault.last].sum(axis=0)
-        if fault.kind.is_at_once and np.linalg.norm(error[:3]) < window_m:
+        if np.linalg.norm(error[:3]) < window_m:
             beside_m = np.maximum(along_m[fault.first] - along_m, along_m - along_m[fault.last])
             found[beside_m < window_m / 2.0] += np.outer(error, error)
     return found

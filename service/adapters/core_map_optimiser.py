@@ -153,7 +153,7 @@ class NamedGraph:
         return OptimisedTrack(
             session_number=track.session_number,
             anchor=next(number for number, known in self.names.items() if known == group[0]),
-            T_map_odom=optimised.T_map_odom(self.posed.by_session[name]),
+            T_map_odom=optimised.T_map_odom(drive),
             T_map_submap=optimised.T_map_submap[name],
             covariances=optimised.covariances[name] + torn(drive, mended, its, self.graph.window_m),
         )

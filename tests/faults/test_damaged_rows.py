@@ -177,12 +177,17 @@ async def test_a_submap_whose_descriptor_is_damaged_is_refused_by_itself_and_nob
     world.context.transactions.close()
 
 
-def test_an_upgrade_gives_every_row_its_checksum(tmp_path, driven, monkeypatch):
-    database = tmp_path / DATABASE
-    database.write_bytes((driven / DATABASE).read_bytes())
+def upgrade(database, tmp_path, monkeypatch):
+    """To a schema with one step more than today's."""
     monkeypatch.setattr(schema, "MIGRATIONS", migrations_with_a_next_step(tmp_path))
     monkeypatch.setattr(schema, "NEWEST_REVISION", NEXT_REVISION)
     migration.migrate(database)
+
+
+def test_an_upgrade_gives_every_row_its_checksum(tmp_path, driven, monkeypatch):
+    database = tmp_path / DATABASE
+    database.write_bytes((driven / DATABASE).read_bytes())
+    upgrade(database, tmp_path, monkeypatch)
     assert migration.current_revision(database) == NEXT_REVISION
     with closing(sqlite3.connect(database)) as connection:
         assert list(damaged_rows(connection)) == []
@@ -202,9 +207,7 @@ def test_a_damaged_row_stays_named_through_changes_and_upgrades(tmp_path, driven
         connection.execute("UPDATE submaps SET map_version = map_version + 1")
         connection.execute("UPDATE map_counters SET events = events + 1")
     assert damaged_in(database) == named
-    monkeypatch.setattr(schema, "MIGRATIONS", migrations_with_a_next_step(tmp_path))
-    monkeypatch.setattr(schema, "NEWEST_REVISION", NEXT_REVISION)
-    migration.migrate(database)
+    upgrade(database, tmp_path, monkeypatch)
     assert damaged_in(database) == named
 
 
@@ -215,9 +218,7 @@ def test_rows_with_a_damaged_text_are_named_beside_others_and_through_an_upgrade
     run(database, "UPDATE scans SET stamp_ns = stamp_ns + 1 WHERE number = 2")
     named = damaged_in(database)
     assert named == ["scans 1", "scans 2"]
-    monkeypatch.setattr(schema, "MIGRATIONS", migrations_with_a_next_step(tmp_path))
-    monkeypatch.setattr(schema, "NEWEST_REVISION", NEXT_REVISION)
-    migration.migrate(database)
+    upgrade(database, tmp_path, monkeypatch)
     assert damaged_in(database) == named
 
 

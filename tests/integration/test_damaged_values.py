@@ -265,11 +265,16 @@ async def test_retention_reaches_the_maps_behind_a_damaged_one(world, tmp_path, 
     assert [stored_seqs(world, SessionKey(map_id, "monday")) for map_id in ("two", "three")] == [[], []]
 
 
-async def test_an_audit_reaches_the_maps_behind_damaged_ones(world, tmp_path, monkeypatch):
-    for map_id in ("one", "two", "three"):
+async def described_in(world, *maps):
+    """A submap in each of the maps."""
+    for map_id in maps:
         await open_session(world, SessionKey(map_id, "monday"))
         await world.use_cases.posting.post(TENANT, submap("a", 1, SessionKey(map_id, "monday")))
     world.work_off()
+
+
+async def test_an_audit_reaches_the_maps_behind_damaged_ones(world, tmp_path, monkeypatch):
+    await described_in(world, "one", "two", "three")
     index = PlaceVectorIndex(FaissIndex)
     keeper = replace(world.context, index=index).index_keeper()
     await keeper.load()
@@ -299,10 +304,7 @@ def lose_all(index: PlaceVectorIndex, map_number: int) -> None:
     ],
 )
 async def test_a_service_starts_beside_a_damaged_map(world, tmp_path, damage):
-    for map_id in ("one", "two"):
-        await open_session(world, SessionKey(map_id, "monday"))
-        await world.use_cases.posting.post(TENANT, submap("a", 1, SessionKey(map_id, "monday")))
-    world.work_off()
+    await described_in(world, "one", "two")
     run(tmp_path / DATABASE, damage)
     index, health = PlaceVectorIndex(FaissIndex), IndexHealth()
     await replace(world.context, index=index, index_health=health).index_keeper().load()

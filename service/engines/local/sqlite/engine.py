@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
+from contextlib import AbstractContextManager
 from typing import Any
 
 import sqlalchemy
 from sqlalchemy import BigInteger, Connection, Table, func, text, update
 from sqlalchemy.exc import IntegrityError
 
-from revisit.service.engines.local.sqlite.row_checksums import COLUMN, is_whole
+from revisit.service.engines.local.sqlite.row_checksums import COLUMN, any_text, is_whole
 from revisit.service.engines.local.sqlite.store_clock import StoreClock
 
 _LAST_NUMBER = text("SELECT seq FROM sqlite_sequence WHERE name = :table")
@@ -38,15 +38,10 @@ class SqliteEngine:
         """See `DatabaseEngine`."""
         return "UNIQUE" in str(error.orig)
 
-    @contextmanager
-    def any_text(self, connection: Connection) -> Iterator[None]:
+    def any_text(self, connection: Connection) -> AbstractContextManager[None]:
         """See `DatabaseEngine`."""
         driver: Any = connection.connection.driver_connection
-        driver.text_factory = _text_or_bytes
-        try:
-            yield
-        finally:
-            driver.text_factory = str
+        return any_text(driver)
 
     def overwrite(self, connection: Connection, table: Table, number: int, values: Mapping[str, Any]) -> None:
         """See `DatabaseEngine`. Where a statement changes the checksum, no trigger reads the row, which may hold a text
@@ -65,10 +60,3 @@ class SqliteEngine:
     def _is_whole(self, connection: Connection, table: Table, number: int) -> bool:
         row = connection.exec_driver_sql(f'SELECT * FROM "{table.name}" WHERE number = ?', (number,)).one_or_none()  # noqa: S608
         return row is None or is_whole(table.name, row._asdict())
-
-
-def _text_or_bytes(data: bytes) -> str | bytes:
-    try:
-        return data.decode()
-    except UnicodeDecodeError:
-        return data

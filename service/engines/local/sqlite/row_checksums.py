@@ -14,6 +14,7 @@ import json
 import sqlite3
 import zlib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
@@ -158,24 +159,31 @@ def _among_texts(
 
 def _without_text(connection: sqlite3.Connection, table: str) -> Iterator[int]:
     """The numbers of the rows of a table with a text that is none."""
+    with any_text(connection):
+        for number, *values in connection.execute(f'SELECT rowid, * FROM "{table}"'):  # noqa: S608  # own schema
+            if any(isinstance(value, NoText) for value in values):
+                yield number
+
+
+class NoText(bytes):
+    """Bytes of a text that are none."""
+
+
+@contextmanager
+def any_text(connection: sqlite3.Connection) -> Iterator[None]:
+    """Within the block a text that is none is read as NoText, instead of ending the reading."""
     connection.text_factory = _text_or_none
     try:
-        for number, *values in connection.execute(f'SELECT rowid, * FROM "{table}"'):  # noqa: S608  # own schema
-            if any(isinstance(value, _NoText) for value in values):
-                yield number
+        yield
     finally:
         connection.text_factory = str
 
 
-class _NoText(bytes):
-    """Bytes of a text that are none."""
-
-
-def _text_or_none(data: bytes) -> str | _NoText:
+def _text_or_none(data: bytes) -> str | NoText:
     try:
         return data.decode()
     except UnicodeDecodeError:
-        return _NoText(data)
+        return NoText(data)
 
 
 def _wrong_audit(connection: sqlite3.Connection) -> Iterator[str]:
