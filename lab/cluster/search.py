@@ -2,6 +2,7 @@
 
 `python -m lab.cluster.search COUNT`: a process holds COUNT made-up descriptors, another asks. Descriptors vary in 60
 directions, as those of real drives do in few, and each place is seen five times; nothing is read from a database.
+`--retired 0.3`: of the places so many have left again when the questions come, half of them with whole sessions.
 """
 
 from __future__ import annotations
@@ -39,7 +40,10 @@ DIMENSION, DIRECTIONS, SEEN, K = 1024, 60, 5, 20
 SECRET, TENANT, MAP = b"s" * 32, TenantId("lab"), 1
 PORTION = 4096
 MOST_EXACT, COMPARED = 100_000, 50
-"""Up to so many places, so many answers are compared with the exact ones."""
+"""Up to so many places, so many answers are compared with the exact ones, if nothing else is asked for."""
+
+SESSION = 500
+"""Places of a session."""
 
 
 class NoRows:
@@ -66,7 +70,17 @@ def places(count: int) -> Iterator[Vectors]:
         yield seen @ directions + rng.normal(size=(many, DIMENSION)).astype(np.float32)
 
 
-def serve(count: int, channel: Connection) -> None:
+def retired(count: int, share: float) -> NDArray[np.int64]:
+    """The numbers of the places that leave: whole sessions but the first, and as many of the others, here and there."""
+    numbers = np.arange(1, count + 1)
+    rng = np.random.default_rng(3)
+    whole = rng.random(count // SESSION + 1)[numbers // SESSION] < share / 2
+    whole[: SESSION - 1] = False
+    alone = rng.random(count) < (share / 2) / (1 - share / 2)
+    return numbers[whole | alone]
+
+
+def serve(count: int, share: float, channel: Connection) -> None:
     """The search process: tells its port and the CPU seconds of loading, then those of its answers."""
     index, number, loaded_s = PlaceVectorIndex(FaissIndex), 0, 0.0
     for vectors in places(count):
@@ -74,10 +88,16 @@ def serve(count: int, channel: Connection) -> None:
         for vector in vectors:
             number += 1
             where = (float(number), 0.0, 0.0)
-            changes.append(IndexChange(number, number, number // 500, number % 500, where, vector.tobytes()))
+            changes.append(IndexChange(number, number, number // SESSION, number % SESSION, where, vector.tobytes()))
         began_s = time.process_time()
         index.apply(MAP, changes, changes[0].seq - 1, more=number < count)
         loaded_s += time.process_time() - began_s
+    for gone in np.array_split(retired(count, share), max(1, round(share * count / PORTION))):
+        changes = [IndexChange(at, int(one), 0, 0, (0.0, 0.0, 0.0), None) for at, one in enumerate(gone, number + 1)]
+        began_s = time.process_time()
+        index.apply(MAP, changes, number)
+        loaded_s += time.process_time() - began_s
+        number += len(changes)
     search = CaughtUpIndex(cast(Transactions, NoRows([])), index)
     server = PlaceSearchServer(search, SECRET, MapLoad())
     channel.send((server.start("127.0.0.1:0"), loaded_s))
@@ -86,15 +106,23 @@ def serve(count: int, channel: Connection) -> None:
     server.stop(1.0)
 
 
-def exact(count: int, queries: Vectors, where: VectorFilter) -> list[set[int]]:
-    """The numbers of the K nearest of each query, by comparison with every descriptor."""
-    index, number = ExactIndex(DIMENSION), 0
+def exact(count: int, share: float) -> ExactIndex:
+    """The places that are left, to be compared one by one."""
+    index, number, gone = ExactIndex(DIMENSION), 0, set(retired(count, share).tolist())
     for vectors in places(count):
-        rows = range(number + 1, number + len(vectors) + 1)
-        index.add([IndexEntry(row, row // 500, row % 500, np.array([float(row), 0.0, 0.0])) for row in rows], vectors)
-        number = rows[-1]
+        kept = [(row, at) for at, row in enumerate(range(number + 1, number + len(vectors) + 1)) if row not in gone]
+        entries = [IndexEntry(row, row // SESSION, row % SESSION, np.array([float(row), 0.0, 0.0])) for row, _ in kept]
+        index.add(entries, vectors[[at for _, at in kept]])
+        number += len(vectors)
+    return index
+
+
+def recall(found: list[set[int]], queries: Vectors, index: ExactIndex, where: VectorFilter) -> float:
+    """The share of the K nearest of all queries that was found."""
     only = SearchFilter(of_session=where.of_session, only_sessions=where.only_sessions, without=where.without)
-    return [{match.id for match in index.search(query, K, only)} for query in queries]
+    true = [{match.id for match in index.search(query, K, only)} for query in queries]
+    right = sum(len(one & other) for one, other in zip(found, true, strict=False))
+    return right / sum(map(len, true))
 
 
 def main() -> None:
@@ -102,19 +130,27 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("count", type=int)
     parser.add_argument("--searches", type=int, default=200)
+    parser.add_argument("--retired", type=float, default=0.0, help="the share of the places that leave again")
+    parser.add_argument("--compared", type=int, help="how many answers are compared with the exact ones")
     options = parser.parse_args()
     here, there = get_context("spawn").Pipe()
-    process = get_context("spawn").Process(target=serve, args=(options.count, there))
+    process = get_context("spawn").Process(target=serve, args=(options.count, options.retired, there))
     process.start()
     port, loaded_s = here.recv()
-    figures = measured(options.count, options.searches, port, here)
-    head = {"places": options.count, "load": os.getloadavg()[0], "loaded, CPU s": round(loaded_s, 1)}
+    compared = COMPARED if options.count <= MOST_EXACT else 0
+    compared = compared if options.compared is None else options.compared
+    true = exact(options.count, options.retired) if compared else None
+    figures = measured(options.count, options.searches, port, here, true, compared)
+    places = {"places": options.count, "of these retired": options.retired}
+    head = {**places, "load": os.getloadavg()[0], "loaded, CPU s": round(loaded_s, 1)}
     print(json.dumps({**head, **figures}, indent=2))
     here.send(None)
     process.join()
 
 
-def measured(count: int, searches: int, port: int, channel: Connection) -> dict[str, dict[str, float]]:
+def measured(
+    count: int, searches: int, port: int, channel: Connection, true: ExactIndex | None, compared: int
+) -> dict[str, dict[str, float]]:
     """Milliseconds of a search as who asks sees them, and of CPU in the process that answers."""
     alive = [LivingProcess("lab", ProcessRole.SEARCH, f"127.0.0.1:{port}", ready=True)]
     remote = RemotePlaceSearch(cast(Transactions, NoRows(alive)), SECRET, cast(PlaceSearch, None))
@@ -132,10 +168,8 @@ def measured(count: int, searches: int, port: int, channel: Connection) -> dict[
             spent_ms.append(1e3 * (cpu_s(channel) - before_s))
             found.append({match.submap_number for match in answer.matches})
         figures[name] = {**spread("ms", took_ms), **spread("CPU ms", spent_ms)}
-        if count <= MOST_EXACT:
-            true = exact(count, queries[:COMPARED], where)
-            shares = [len(one & other) / K for one, other in zip(found, true, strict=False)]
-            figures[name] |= {"recall": round(float(np.mean(shares)), 4)}
+        if true is not None:
+            figures[name]["recall"] = round(recall(found, queries[:compared], true, where), 4)
     return figures
 
 
@@ -163,7 +197,7 @@ def cpu_s(channel: Connection) -> float:
 
 def filters(count: int) -> dict[str, VectorFilter]:
     """All but the own surroundings, and only 10 and 1 % of the sessions."""
-    sessions = range(count // 500 + 1)
+    sessions = range(count // SESSION + 1)
     own = frozenset(range(201, 300))
     return {
         "all": VectorFilter(of_session=0, without=own),
