@@ -27,6 +27,10 @@ WAITED_FOR = frozenset({OperationKind.SEARCH_CLOUD.value, OperationKind.LOCALIZE
 """Operations with a waiting client: they make no event."""
 
 
+DAMAGED = -1
+"""In place of a last number that cannot be read."""
+
+
 @dataclass(frozen=True)
 class EventRecord:
     """A row of the log: something became true of `subject`, the id of a loop or an operation, the number of a version,
@@ -65,7 +69,7 @@ class EventLog(Protocol):
         ...
 
     def last_numbers(self, maps: Collection[tuple[TenantId, str]]) -> dict[tuple[TenantId, str], int]:
-        """The last number of each of these maps that is there, 0 for none."""
+        """The last number of each of these maps that is there, 0 for none, DAMAGED where it cannot be read."""
         ...
 
     def forget(self, kept: int) -> int:

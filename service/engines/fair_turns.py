@@ -47,6 +47,10 @@ class FairTurns:
         """A job of the tenant has run for `ran_ms` on a worker."""
         self._turns.add(TurnRecord(tenant, ran_ms=max(LEAST_MS, ran_ms) - ADVANCE_MS), worker_id or GONE)
 
+    def mend(self) -> None:
+        """Begin anew where what tenants have had cannot be read."""
+        self._turns.mend()
+
     def forget(self, worker_id: str) -> None:
         """The worker is gone: its time is kept with that of all who are."""
         for turn in self._turns.of_worker(worker_id):

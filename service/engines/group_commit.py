@@ -7,12 +7,14 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, suppress
 from dataclasses import dataclass, field
 from typing import Any, Generic, TypeVar
 
 from sqlalchemy import Connection
 from sqlalchemy.exc import DatabaseError, IntegrityError
+
+from revisit.core.errors import DataLoss, RevisitError
 
 T = TypeVar("T")
 
@@ -82,15 +84,23 @@ class GroupCommitter:
 
     Every member of a group runs in a savepoint: its error undoes its own changes only. Nobody is answered before
     the commit, because even an error may depend on the changes of an earlier member. If the commit fails, all members
-    fail with it. A member that another process disturbs is undone and begins the next group, where it holds nothing of
-    other members while it waits: so two groups never wait for each other.
+    fail with it; but where a damaged row is the reason, what can be mended is, and each is run again alone. A member
+    that another process disturbs is undone and begins the next group, where it holds nothing of other members while it
+    waits: so two groups never wait for each other.
     """
 
     def __init__(
-        self, transaction: Callable[[], AbstractContextManager[Connection]], savepoints: Savepoints | None = None
+        self,
+        transaction: Callable[[], AbstractContextManager[Connection]],
+        savepoints: Savepoints | None = None,
+        mend: Callable[[], None] = lambda: None,
     ) -> None:
-        """`transaction` begins a transaction and commits it durably at the end of its block."""
+        """`transaction` begins a transaction and commits it durably at the end of its block.
+
+        `mend` replaces rows of the store's own that are damaged.
+        """
         self._transaction = transaction
+        self._mend = mend
         self._savepoints = savepoints or Savepoints()
         self._queue: queue.SimpleQueue[_Write[Any] | None] = queue.SimpleQueue()
         self._waiting: _Write[Any] | None = None
@@ -126,12 +136,12 @@ class GroupCommitter:
         waiting, self._waiting = self._waiting, None
         return waiting or self._queue.get()
 
-    def _commit(self, first: _Write[Any]) -> None:
+    def _commit(self, first: _Write[Any], *, alone: bool = False) -> None:
         outcomes: list[_Outcome] = []
         members: list[_Write[Any]] = []
         try:
             with self._transaction() as connection:
-                for write in self._group(first):
+                for write in (first,) if alone else self._group(first):
                     members.append(write)
                     outcome = self._attempt(connection, write, first=write is first)
                     if outcome is None:
@@ -140,9 +150,19 @@ class GroupCommitter:
                     outcomes.append(outcome)
                 self._savepoints.before_commit(connection, durable=any(write.durable for write in members))
         except BaseException as error:  # noqa: BLE001  # every member of the group gets the error
+            if isinstance(error, DataLoss) and not alone:
+                self._run_alone(members or [first])
+                return
             outcomes = [_Outcome(write, error=error) for write in members or [first]]
         for outcome in outcomes:
             outcome.tell()
+
+    def _run_alone(self, members: list[_Write[Any]]) -> None:
+        """Mend what can be mended, then commit each by itself: a damaged row is in the way of one."""
+        with suppress(RevisitError):
+            self._mend()
+        for write in members:
+            self._commit(write, alone=True)
 
     def _group(self, first: _Write[Any]) -> Iterator[_Write[Any]]:
         """`first` and the writes queued behind it that may share its transaction."""

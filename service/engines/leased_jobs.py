@@ -180,6 +180,7 @@ class LeasedJobs:
 
     def fail_damaged_jobs(self) -> list[JobRecord]:
         """See `JobQueue`."""
+        self._turns.mend()
         return self._jobs.fail_damaged(ErrorCode.DATA_LOSS, DAMAGED, self._clock.wall_ns())
 
     def release(self, owner: str, reason: str, *, innocent: bool = False) -> int:

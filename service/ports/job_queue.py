@@ -59,7 +59,7 @@ class LostRuns(Protocol):
 
     def fail_damaged_jobs(self) -> list[JobRecord]:
         """Fail and return the unfinished jobs that cannot be read, for which `claim` raises DataLoss: without payload,
-        and but for those that still cannot be read.
+        and but for those that still cannot be read. Turns that cannot be read begin anew.
         """
         ...
 
@@ -134,6 +134,10 @@ class TenantTurns(Protocol):
 
     def forget(self, worker_id: str) -> None:
         """Delete the rows of a worker."""
+        ...
+
+    def mend(self) -> None:
+        """Begin anew for all tenants where a row is damaged: nothing but their order rests on it."""
         ...
 
 

@@ -200,15 +200,24 @@ def test_a_damaged_row_stays_named_through_changes_and_upgrades(tmp_path, driven
     database = tmp_path / DATABASE
     database.write_bytes((driven / DATABASE).read_bytes())
     run(database, "UPDATE submaps SET stamp_ns = stamp_ns + 1 WHERE number = 1")
-    run(database, "UPDATE map_counters SET events = events + 1 WHERE map_id = 'town'")
+    run(database, "UPDATE maps SET created_at_ns = created_at_ns + 1 WHERE map_id = 'town'")
     named = damaged_in(database)
     assert len(named) == 2
     with keeping(database) as connection:
         connection.execute("UPDATE submaps SET map_version = map_version + 1")
-        connection.execute("UPDATE map_counters SET events = events + 1")
+        connection.execute("UPDATE maps SET created_at_ns = created_at_ns + 1")
     assert damaged_in(database) == named
     upgrade(database, tmp_path, monkeypatch)
     assert damaged_in(database) == named
+
+
+def test_damaged_counters_are_raised_by_nobody(tmp_path, driven):
+    database = tmp_path / DATABASE
+    database.write_bytes((driven / DATABASE).read_bytes())
+    run(database, "UPDATE map_counters SET events = events - 1 WHERE map_id = 'town'")
+    with keeping(database) as connection, pytest.raises(sqlite3.OperationalError):
+        connection.execute("UPDATE map_counters SET events = events + 1")
+    assert len(damaged_in(database)) == 1
 
 
 def test_rows_with_a_damaged_text_are_named_beside_others_and_through_an_upgrade(tmp_path, driven, monkeypatch):

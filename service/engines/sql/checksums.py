@@ -47,6 +47,14 @@ def carried_checksum(stored: Value, before: int, after: int, alone_kept: int) ->
     return carried | ((stored if wrong & ~_UPPER and alone_kept else after) & ~_UPPER)
 
 
+def counted_checksum(stored: Value, before: int, after: int, _alone_kept: int) -> int:
+    """That of a row of counters that was raised. Raises ValueError where it is damaged."""
+    if stored != before:
+        log.error("counters_damaged")
+        raise ValueError("a row of counters is damaged")
+    return after
+
+
 def sound_descriptor(number: int, descriptor: bytes | None, checksum: int | None) -> bytes | None:
     """The stored descriptor of a submap of this number; None for one that is damaged, which is logged."""
     if descriptor is None or is_sound(descriptor, checksum):

@@ -8,9 +8,11 @@ from typing import Any
 
 from sqlalchemy import Connection, Select, bindparam, delete, insert, select, tuple_, update
 
+from revisit.service.domain.events import DAMAGED
 from revisit.service.domain.identity import TenantId
 from revisit.service.domain.records import MapRecord
 from revisit.service.engines.sql import tables
+from revisit.service.engines.sql.packed_columns import require_values
 from revisit.service.engines.sql.presence import present
 from revisit.service.engines.sql.repositories import Scalar, SqlRepository, matches, of_tenant
 
@@ -54,19 +56,25 @@ class SqlMaps(SqlRepository[MapRecord]):
 
     def _highest(self, tenant: TenantId, map_id: str) -> dict[str, int]:
         row = self._connection.execute(_counters(), {"its_tenant": tenant, "its_map": map_id}).one_or_none()
-        return {name: 0 if row is None else int(getattr(row, name)) for name in NAMES}
+        kept = {name: 0 if row is None else getattr(row, name) for name in NAMES}
+        # Of a damaged row nothing is known: the map goes all the same.
+        return {name: number if isinstance(number, int) else 0 for name, number in kept.items()}
 
 
 def last_events(connection: Connection, maps: Collection[tuple[TenantId, str]]) -> dict[tuple[TenantId, str], int]:
-    """The last number of an event of each of these maps that is there and is not being deleted."""
+    """The last number of an event of each of these maps that is there and is not being deleted; or DAMAGED."""
     found = connection.execute(_last_events(), {"its_maps": list(maps)}) if maps else ()
-    return {(TenantId(tenant), map_id): events for tenant, map_id, events in found}
+    known = ((*its, events if isinstance(events, int) else DAMAGED) for *its, events in found)
+    return {(TenantId(tenant), map_id): events for tenant, map_id, events in known}
 
 
 def forgotten_events(connection: Connection, tenant: TenantId, map_id: str) -> int:
     """The highest number of an event of the map that is no longer kept; 0 for none."""
     row = connection.execute(_counters(), {"its_tenant": tenant, "its_map": map_id}).one_or_none()
-    return 0 if row is None else int(row.forgotten)
+    if row is None:
+        return 0
+    require_values([tables.map_counters.c.forgotten], [row.forgotten])
+    return int(row.forgotten)
 
 
 @cache

@@ -130,6 +130,11 @@ def require_values(columns: Iterable[Column[Any]], row: Sequence[Any]) -> None:
             raise RowDamaged(f"row {row[0]} of {table} is damaged: {column.name} is no {column.type}"[:200])
 
 
+def fits(columns: Iterable[Column[Any]], row: Iterable[Any]) -> bool:
+    """Whether each value is of the kind of its column."""
+    return all(_fits(column, type(value)) for column, value in zip(columns, row, strict=True))
+
+
 def read_stored(read: Callable[[Any], T], value: Any) -> T:
     """The value that `read` makes of a stored one. Raises RowDamaged."""
     try:

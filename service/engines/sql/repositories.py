@@ -49,7 +49,7 @@ from revisit.service.engines.sql import tables
 from revisit.service.engines.sql.checksums import sound_descriptor
 from revisit.service.engines.sql.engine import DatabaseEngine
 from revisit.service.engines.sql.map_numbers import note_submap
-from revisit.service.engines.sql.packed_columns import RowDamaged, of_kinds, read_stored, require_kinds
+from revisit.service.engines.sql.packed_columns import RowDamaged, of_kinds, read_stored, require_kinds, require_values
 from revisit.service.engines.sql.presence import present
 from revisit.service.ports.repositories import FoundSubmap, PathPoint, PlacedSubmap, SubmapStanding
 
@@ -335,7 +335,9 @@ class SqlSubmaps(SqlRepository[SubmapRecord]):
     def last_seq(self, tenant: TenantId, map_id: str) -> int:
         """See `SubmapRepository`."""
         asked = of_tenant(tenant, {"map_id": map_id})
-        return int(self._connection.execute(_last_seq(), asked).scalar() or 0)
+        last = self._connection.execute(_last_seq(), asked).scalar() or 0
+        require_values([tables.map_counters.c.submaps], [last])
+        return int(last)
 
     def points_of(self, tenant: TenantId) -> int:
         """See `SubmapRepository`."""

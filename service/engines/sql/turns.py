@@ -5,6 +5,7 @@ from __future__ import annotations
 from functools import cache
 from typing import Any
 
+import structlog
 from sqlalchemy import (
     BigInteger,
     Column,
@@ -26,30 +27,43 @@ from sqlalchemy import (
 from revisit.service.domain.records import TurnRecord
 from revisit.service.domain.states import OperationState
 from revisit.service.engines.sql import tables
+from revisit.service.engines.sql.engine import DatabaseEngine
+from revisit.service.engines.sql.packed_columns import fits, require_values
 from revisit.service.engines.sql.repositories import column_values
 
 _turns = tables.worker_turns.c
+_COLUMNS = (_turns.tenant, _turns.started_ms, _turns.ran_ms, _turns.lifted_ms)
+
+_log = structlog.get_logger(__name__)
 
 
 class SqlTenantTurns:
     """`TenantTurns`."""
 
-    def __init__(self, connection: Connection) -> None:
+    def __init__(self, connection: Connection, engine: DatabaseEngine) -> None:
         """All statements go through `connection`."""
         self._connection = connection
+        self._engine = engine
 
     def waiting(self) -> list[TurnRecord]:
         """See `TenantTurns`."""
-        return [TurnRecord(*row) for row in self._connection.execute(_waiting())]
+        rows = self._connection.execute(_waiting()).all()
+        for row in rows:
+            require_values(_COLUMNS, row)
+        return [TurnRecord(*row) for row in rows]
 
     def latest_start_ms(self) -> int:
         """See `TenantTurns`."""
-        return int(self._connection.execute(_latest_start()).scalar() or 0)
+        latest = self._connection.execute(_latest_start()).scalar()
+        require_values([_turns.started_ms], [latest or 0])
+        return int(latest or 0)
 
     def of_worker(self, worker_id: str) -> list[TurnRecord]:
         """See `TenantTurns`."""
-        rows = self._connection.execute(_rows().where(_turns.worker_id == worker_id))
-        return [TurnRecord(**row._mapping) for row in rows]
+        query = select(*_COLUMNS).where(_turns.worker_id == worker_id)
+        with self._engine.any_text(self._connection):
+            rows = self._connection.execute(query).all()
+        return [TurnRecord(*row) for row in rows if fits(_COLUMNS, row)]
 
     def add(self, turn: TurnRecord, worker_id: str) -> None:
         """See `TenantTurns`."""
@@ -63,6 +77,14 @@ class SqlTenantTurns:
     def forget(self, worker_id: str) -> None:
         """See `TenantTurns`."""
         self._connection.execute(delete(tables.worker_turns).where(_turns.worker_id == worker_id))
+
+    def mend(self) -> None:
+        """See `TenantTurns`."""
+        with self._engine.any_text(self._connection):
+            rows = self._connection.execute(select(tables.worker_turns)).all()
+        if not all(fits(tables.worker_turns.columns, row) for row in rows):
+            _log.error("turns_begin_anew", reason="a row of worker_turns is damaged")
+            self._connection.execute(delete(tables.worker_turns))
 
 
 @cache
@@ -89,11 +111,6 @@ def _at_work(state: OperationState) -> Select[Any]:
 @cache
 def _latest_start() -> Select[Any]:
     return select(func.max(_turns.started_ms))
-
-
-@cache
-def _rows() -> Select[Any]:
-    return select(_turns.tenant, _turns.started_ms, _turns.ran_ms, _turns.lifted_ms)
 
 
 @cache

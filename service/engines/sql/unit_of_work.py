@@ -160,7 +160,7 @@ class SqlUnitOfWork:
     @cached_property
     def queue(self) -> LeasedJobs:
         """The job queue in this transaction."""
-        turns = FairTurns(SqlTenantTurns(self.connection))
+        turns = FairTurns(SqlTenantTurns(self.connection, self.engine))
         return LeasedJobs(self.jobs, turns, self.lease_ms, self.now_ms, self.clock)
 
     @cached_property
@@ -181,7 +181,7 @@ class SqlUnitOfWork:
     @cached_property
     def workers(self) -> SqlWorkerLog:
         """The living workers."""
-        return SqlWorkerLog(self.connection, self.now_ms)
+        return SqlWorkerLog(self.connection, self.engine, self.now_ms)
 
     @cached_property
     def processes(self) -> SqlProcessLog:

@@ -60,7 +60,8 @@ class SqlWebhooks(SqlRepository[WebhookRecord]):
     def news(self, webhook: WebhookRecord) -> dict[str, News]:
         """See `WebhookRepository`."""
         rows = self._connection.execute(_news(), {"its_number": webhook.number})
-        return {row.map_id: News(row.position, row.events) for row in rows}
+        # Those of a map with damaged counters wait.
+        return {row.map_id: News(row.position, row.events) for row in rows if isinstance(row.events, int)}
 
     def tell(self, webhook: WebhookRecord, told: Mapping[str, int]) -> None:
         """See `WebhookRepository`."""

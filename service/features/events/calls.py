@@ -7,10 +7,11 @@ from collections.abc import AsyncIterator, Iterable, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 
+from revisit.core.errors import DataLoss
 from revisit.service.capacity.in_flight import Turns
 from revisit.service.capacity.limits import BATCHES_AT_A_TIME
 from revisit.service.domain.errors import NotFound
-from revisit.service.domain.events import EventRecord
+from revisit.service.domain.events import DAMAGED, EventRecord
 from revisit.service.domain.identity import SessionKey, TenantId
 from revisit.service.domain.records import JobRecord
 from revisit.service.domain.states import EventKind
@@ -114,7 +115,10 @@ class Events:
 
 def _last(uow: UnitOfWork, tenant: TenantId, map_id: str) -> int:
     require_map(uow, tenant, map_id)
-    return uow.events.last_numbers([(tenant, map_id)])[tenant, map_id]
+    last = uow.events.last_numbers([(tenant, map_id)])[tenant, map_id]
+    if last == DAMAGED:
+        raise DataLoss(f"the numbers of the events of map {map_id!r} are damaged"[:200])
+    return last
 
 
 def _page(uow: UnitOfWork, tenant: TenantId, map_id: str, seen: int, last: int) -> EventPage:

@@ -48,7 +48,7 @@ class EventTail:
                 asked, known = await self._poll()
                 if key in asked - known.keys():
                     raise NotFound(f"there is no map {map_id!r}"[:200])
-                last = known.get(key, number)
+                last = max(number, known.get(key, number))  # below it only where it cannot be read
                 if asyncio.get_running_loop().time() >= until_s:
                     break
             return last

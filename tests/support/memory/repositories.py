@@ -663,6 +663,9 @@ class MemoryTenantTurns:
         """See `TenantTurns`."""
         self._keep([row for row in self._rows() if row[0] != worker_id])
 
+    def mend(self) -> None:
+        """See `TenantTurns`: nothing is damaged here."""
+
     def _rows(self) -> list[tuple[str, TurnRecord]]:
         return list(self._turns.by_number.values())
 

@@ -43,6 +43,7 @@ from revisit.service.engines.local.sqlite.connections import (
     writer_engine,
     writer_pragmas,
 )
+from revisit.service.engines.local.sqlite.counters import mend_counters
 from revisit.service.engines.local.sqlite.engine import SqliteEngine
 from revisit.service.engines.local.sqlite.store_clock import StoreClock
 from revisit.service.engines.sql.map_numbers import noted, numbered
@@ -102,7 +103,7 @@ class SqliteTransactions:
         self._lease_ms = lease_ms
         self._fail_stop = fail_stop or FailStop()
         self._failures = StorageFailures(write_ahead_log(path), self._fail_stop, on_full)
-        self._writing = GroupCommitter(self._transaction)
+        self._writing = GroupCommitter(self._transaction, mend=self._mend)
         self._reading = ThreadPoolExecutor(READERS, thread_name_prefix="reader")
 
     def write(self, work: Callable[[UnitOfWork], T], *, durable: bool = True) -> Future[T]:
@@ -144,6 +145,10 @@ class SqliteTransactions:
                     yield connection
                 failpoint("commit.before")
             failpoint("commit.after")
+
+    def _mend(self) -> None:
+        with self._failures.translated(), self._lock.held(), self._writer.begin() as connection:
+            mend_counters(connection)
 
     @contextmanager
     def _to_read(self) -> Iterator[Connection]:
