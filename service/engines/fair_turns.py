@@ -12,7 +12,7 @@ from dataclasses import replace
 
 from revisit.service.domain.identity import TenantId
 from revisit.service.domain.records import TurnRecord
-from revisit.service.ports.job_queue import TenantTurns
+from revisit.service.ports.job_queue import Standing, TenantTurns
 
 ADVANCE_MS = 1000
 """Provisional cost of a claim until its run has ended: so several workers do not all take the same tenant's jobs."""
@@ -31,12 +31,16 @@ class FairTurns:
         """Reads and writes `turns` in the transaction of the jobs."""
         self._turns = turns
 
-    def order(self) -> list[TurnRecord]:
+    def standing(self) -> Standing:
+        """See `TenantTurns`."""
+        return self._turns.standing()
+
+    @staticmethod
+    def order(standing: Standing) -> list[TurnRecord]:
         """The tenants with unfinished jobs, the next one first; those behind are lifted to where the last job began."""
-        floor_ms = self._turns.latest_start_ms()
-        waiting = self._turns.waiting()
-        waiting.sort(key=lambda turn: (max(turn.spent_ms, floor_ms), turn.spent_ms, turn.tenant))
-        return [replace(turn, started_ms=max(turn.spent_ms, floor_ms)) for turn in waiting]
+        floor_ms = standing.latest_start_ms
+        order = sorted(standing.turns, key=lambda turn: (max(turn.spent_ms, floor_ms), turn.spent_ms, turn.tenant))
+        return [replace(turn, started_ms=max(turn.spent_ms, floor_ms)) for turn in order]
 
     def begin(self, turn: TurnRecord, worker_id: str) -> None:
         """A worker begins a job of the tenant whose turn `order` says it is."""

@@ -19,7 +19,7 @@ from revisit.service.domain.records import JobRecord, TurnRecord
 from revisit.service.domain.states import OperationState
 from revisit.service.engines.fair_turns import FairTurns
 from revisit.service.ports.clock import Clock
-from revisit.service.ports.job_queue import Lease
+from revisit.service.ports.job_queue import Lease, Standing
 from revisit.service.ports.repositories import JobRepository
 
 RETRY_DELAY_MS = 500
@@ -40,8 +40,13 @@ class LeasableJobs(JobRepository, Protocol):
     such as another transaction holds are passed over.
     """
 
-    def next_runnable(self, now_ms: int, tenant: TenantId, *, hold: bool = False) -> JobRecord | None:
-        """A job that is queued and due, or has an expired lease and attempts left: the most urgent, then oldest."""
+    def next_runnable(
+        self, now_ms: int, tenant: TenantId, *, lost: bool = True, hold: bool = False
+    ) -> JobRecord | None:
+        """A job that is queued and due, or has an expired lease and attempts left: the most urgent, then oldest.
+
+        Where it is not asked for the `lost`, only among the queued.
+        """
         ...
 
     def exhausted(self, now_ms: int, *, hold: bool = False) -> list[JobRecord]:
@@ -81,9 +86,11 @@ class LeasedJobs:
         self._lease_ms = lease_ms
         self._now_ms = now_ms
         self._clock = clock
+        self._seen: Standing | None = None
 
     def enqueue(self, job: JobRecord, *, delay_ms: int = 0) -> JobRecord:
         """See `JobQueue`."""
+        self._seen = None
         if delay_ms:
             now_ms = self._now_ms()
             job = replace(job, claimed_ms=now_ms, not_before_ms=now_ms + delay_ms)
@@ -99,14 +106,17 @@ class LeasedJobs:
         """See `JobQueue`."""
         now_ms = self._now_ms()
         try:
-            return self._next(now_ms) is not None or bool(self._jobs.exhausted(now_ms))
+            standing = self._turns.standing()
+            lost = _any_lost(standing, now_ms)
+            return self._next(now_ms, standing) is not None or (lost and bool(self._jobs.exhausted(now_ms)))
         except DataLoss:
             return True
 
     def claim(self, owner: str) -> Lease | None:
         """See `JobQueue`."""
         now_ms = self._now_ms()
-        found = self._next(now_ms, hold=True)
+        standing, self._seen = self._seen or self._turns.standing(), None
+        found = self._next(now_ms, standing, hold=True)
         if found is None:
             return None
         turn, job = found
@@ -168,9 +178,13 @@ class LeasedJobs:
         return True
 
     def fail_exhausted_jobs(self) -> list[JobRecord]:
-        """See `JobQueue`."""
+        """See `JobQueue`. Where no lease is lost, a claim that follows need not look again."""
+        now_ms, standing = self._now_ms(), self._turns.standing()
+        if not _any_lost(standing, now_ms):
+            self._seen = standing
+            return []
         buried, ended_ns = [], self._clock.wall_ns()
-        for job in self._jobs.exhausted(self._now_ms(), hold=True):
+        for job in self._jobs.exhausted(now_ms, hold=True):
             # The runs of a worker that was released were paid for then.
             if job.lease_expires_ms:
                 self._turns.end(job.tenant, job.lease_owner, job.lease_expires_ms - job.claimed_ms)
@@ -207,10 +221,14 @@ class LeasedJobs:
             self._jobs.exchange(job, replace(_forgiven(job), failure_message=STARTED_AGAIN))
         return len(under_way)
 
-    def _next(self, now_ms: int, *, hold: bool = False) -> tuple[TurnRecord, JobRecord] | None:
+    def _next(self, now_ms: int, standing: Standing, *, hold: bool = False) -> tuple[TurnRecord, JobRecord] | None:
         """The job that is to run next: the first of the first tenant, in the order of their turns, that has one."""
-        found = ((turn, self._jobs.next_runnable(now_ms, turn.tenant, hold=hold)) for turn in self._turns.order())
-        return next(((turn, job) for turn, job in found if job is not None), None)
+        lost = _any_lost(standing, now_ms)
+        for turn in self._turns.order(standing):
+            job = self._jobs.next_runnable(now_ms, turn.tenant, lost=lost, hold=hold)
+            if job is not None:
+                return turn, job
+        return None
 
     def _found(self, tenant: TenantId, operation_ids: Collection[str]) -> list[JobRecord]:
         jobs = (self._jobs.get(tenant, operation_id) for operation_id in operation_ids)
@@ -222,6 +240,11 @@ class LeasedJobs:
         if job is None or job.state != OperationState.RUNNING or job.lease_id != lease.job.lease_id:
             raise StaleLease(f"operation {lease.job.operation_id} is no longer leased to this run")
         return job
+
+
+def _any_lost(standing: Standing, now_ms: int) -> bool:
+    """Whether the lease of some running job has run out."""
+    return standing.first_end_ms is not None and standing.first_end_ms <= now_ms
 
 
 def _forgiven(job: JobRecord) -> JobRecord:

@@ -113,15 +113,24 @@ class JobQueue(LeasedRuns, LostRuns, ReportedRuns, RunsInTurn, Protocol):
         ...
 
 
+@dataclass(frozen=True)
+class Standing:
+    """Who waits, and what the next job is counted from.
+
+    `turns`: of the tenants with queued or running jobs. `latest_start_ms`: where the last job began that was claimed:
+    nobody's time is counted from further back. `first_end_ms`: of the leases of running jobs the end that comes first.
+    """
+
+    turns: list[TurnRecord]
+    latest_start_ms: int = 0
+    first_end_ms: int | None = None
+
+
 class TenantTurns(Protocol):
     """How much of the workers' time each tenant has had: a row for each of its workers, summed at reading."""
 
-    def waiting(self) -> list[TurnRecord]:
-        """Of the tenants with queued or running jobs."""
-        ...
-
-    def latest_start_ms(self) -> int:
-        """Where the last job began that was claimed: nobody's time is counted from further back."""
+    def standing(self) -> Standing:
+        """All that a claim asks of others' turns and leases, at one look."""
         ...
 
     def of_worker(self, worker_id: str) -> list[TurnRecord]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from importlib.util import find_spec
 
 from pydantic_core import from_json
@@ -20,6 +21,11 @@ WATCHED = {"keepalives_idle": 5, "keepalives_interval": 2, "keepalives_count": 3
 
 CONNECTING = {"connect_timeout": 5, "application_name": "revisit", "client_encoding": "utf8", **WATCHED}
 POOL_S = 5.0
+
+NOW_MS = "SELECT CAST(extract(epoch FROM clock_timestamp()) * 1000 AS BIGINT)"
+BEGUN = "begun at"
+"""Under this name a writer's connection keeps the server's time as its transaction began, milliseconds, and its own
+monotonic time, seconds: most transactions need no other, and it comes along with their first round trip."""
 
 LOCK_MS = 2000
 """How long a writer waits for a row that another process holds, where it holds nothing of other members itself."""
@@ -56,7 +62,8 @@ def writer_engine(url: URL) -> Engine:
     Each begins with a savepoint, `member`.
     """
     engine = _engine(url, pool_size=1, max_overflow=0)
-    _begin_with(engine, f"BEGIN; SET LOCAL lock_timeout = {LOCK_MS}", IDLE_S, then="SAVEPOINT member")
+    begin = f"{NOW_MS}; BEGIN; SET LOCAL lock_timeout = {LOCK_MS}"
+    _begin_with(engine, begin, IDLE_S, then="SAVEPOINT member")
     return engine
 
 
@@ -87,4 +94,5 @@ def _begin_with(engine: Engine, begin: str, idle_s: int, *, then: str = "") -> N
         limits = f"SET LOCAL idle_in_transaction_session_timeout = '{idle_s}s'"
         if (connection.dialect.server_version_info or OLDEST) >= TRANSACTION_TIMEOUT_FROM:
             limits += f"; SET LOCAL transaction_timeout = '{TRANSACTION_S}s'"
-        connection.exec_driver_sql(f"{begin}; {limits}; {then}")
+        told = connection.exec_driver_sql(f"{begin}; {limits}; {then}")
+        connection.info[BEGUN] = (int(told.scalar_one()), time.monotonic()) if told.returns_rows else None

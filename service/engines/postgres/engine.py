@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from typing import Any
@@ -9,15 +10,23 @@ from typing import Any
 from sqlalchemy import Connection, Table, func, select, text, update
 from sqlalchemy.exc import IntegrityError
 
+from revisit.service.engines.postgres.connections import BEGUN, NOW_MS
+
 UNIQUE_VIOLATION = "23505"
 
 _ALONE = text("SELECT pg_advisory_xact_lock(hashtext('revisit'), hashtext(:table))")
 _HEIGHT = text("SELECT number FROM audit_height")
-_NOW_MS = text("SELECT CAST(extract(epoch FROM clock_timestamp()) * 1000 AS BIGINT)")
+_NOW_MS = text(NOW_MS)
+
+FRESH_S = 0.05
+"""So old may the time be that a transaction got at its begin."""
 
 
 def server_ms(connection: Connection) -> int:
-    """The server's own clock, milliseconds."""
+    """The server's own clock, milliseconds: as the transaction began, where that was a moment ago."""
+    begun = connection.info.get(BEGUN)
+    if begun is not None and time.monotonic() - begun[1] < FRESH_S:
+        return int(begun[0])
     return int(connection.execute(_NOW_MS).scalar_one())
 
 

@@ -19,11 +19,14 @@ from revisit.service.ports.repositories import Waiting
 class SqlJobs(SqlRepository[JobRecord]):
     """`JobRepository`."""
 
-    def next_runnable(self, now_ms: int, tenant: TenantId, *, hold: bool = False) -> JobRecord | None:
+    def next_runnable(
+        self, now_ms: int, tenant: TenantId, *, lost: bool = True, hold: bool = False
+    ) -> JobRecord | None:
         """See `LeasableJobs`."""
         asked = {"now_ms": now_ms, "tenant": tenant}
         # One query per state: each walks the index of its state, however many jobs have finished.
-        rows = [self._connection.execute(_runnable(lost, hold), asked).first() for lost in (False, True)]
+        states = (False, True) if lost else (False,)
+        rows = [self._connection.execute(_runnable(state, hold), asked).first() for state in states]
         first = [self._of(row) for row in rows if row is not None]
         return min(first, key=lambda job: (job.priority, job.number), default=None)
 

@@ -30,6 +30,7 @@ from revisit.service.engines.sql import tables
 from revisit.service.engines.sql.engine import DatabaseEngine
 from revisit.service.engines.sql.packed_columns import fits, require_values
 from revisit.service.engines.sql.repositories import column_values
+from revisit.service.ports.job_queue import Standing
 
 _turns = tables.worker_turns.c
 _COLUMNS = (_turns.tenant, _turns.started_ms, _turns.ran_ms, _turns.lifted_ms)
@@ -45,18 +46,15 @@ class SqlTenantTurns:
         self._connection = connection
         self._engine = engine
 
-    def waiting(self) -> list[TurnRecord]:
+    def standing(self) -> Standing:
         """See `TenantTurns`."""
-        rows = self._connection.execute(_waiting()).all()
-        for row in rows:
-            require_values(_COLUMNS, row)
-        return [TurnRecord(*row) for row in rows]
-
-    def latest_start_ms(self) -> int:
-        """See `TenantTurns`."""
-        latest = self._connection.execute(_latest_start()).scalar()
-        require_values([_turns.started_ms], [latest or 0])
-        return int(latest or 0)
+        turns, latest_ms, first_ms = [], 0, None
+        for *turn, latest, first in self._connection.execute(_standing()):
+            require_values((*_COLUMNS, _turns.started_ms), (*turn, latest or 0))
+            turns.append(TurnRecord(*turn))
+            latest_ms, first_ms = int(latest or 0), first
+        # A lease whose end cannot be read counts as lost: whoever looks for lost ones meets the damaged row.
+        return Standing(turns, latest_ms, first_ms if first_ms is None or isinstance(first_ms, int) else 0)
 
     def of_worker(self, worker_id: str) -> list[TurnRecord]:
         """See `TenantTurns`."""
@@ -88,13 +86,18 @@ class SqlTenantTurns:
 
 
 @cache
-def _waiting() -> Select[Any]:
-    """The tenants with a job that waits or runs, and what each has had of all workers."""
+def _standing() -> Select[Any]:
+    """The tenants with a job that waits or runs, and what each has had of all workers; with each the latest start of
+    all, and the first end of a lease of a running job.
+    """
     tenants = union(_at_work(OperationState.QUEUED), _at_work(OperationState.RUNNING)).subquery()
     ran_ms = cast(func.sum(_turns.ran_ms), BigInteger)
     had = (func.coalesce(sum_, 0) for sum_ in (func.max(_turns.started_ms), ran_ms, func.max(_turns.lifted_ms)))
     joined = tenants.outerjoin(tables.worker_turns, _turns.tenant == tenants.c.tenant)
-    of_tenant = select(tenants.c.tenant, *had).select_from(joined).group_by(tenants.c.tenant)
+    latest = select(func.max(tables.worker_turns.alias().c.started_ms)).scalar_subquery()
+    running = tables.jobs.c.state == OperationState.RUNNING.value
+    first_end = select(func.min(tables.jobs.c.lease_expires_ms)).where(running).scalar_subquery()
+    of_tenant = select(tenants.c.tenant, *had, latest, first_end).select_from(joined).group_by(tenants.c.tenant)
     return of_tenant.order_by(tenants.c.tenant)
 
 
@@ -106,11 +109,6 @@ def _at_work(state: OperationState) -> Select[Any]:
     following = in_state.where(tables.jobs.c.tenant > found.c.tenant).scalar_subquery()
     found = found.union_all(select(following).where(found.c.tenant.is_not(None)))
     return select(found.c.tenant).where(found.c.tenant.is_not(None))
-
-
-@cache
-def _latest_start() -> Select[Any]:
-    return select(func.max(_turns.started_ms))
 
 
 @cache

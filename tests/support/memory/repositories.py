@@ -30,6 +30,7 @@ from revisit.service.domain.states import EventKind, LoopState, OperationState, 
 from revisit.service.domain.webhooks import News, WebhookRecord
 from revisit.service.ports.clock import Clock
 from revisit.service.ports.index import IndexChange
+from revisit.service.ports.job_queue import Standing
 from revisit.service.ports.processes import GONE_AFTER_MS
 from revisit.service.ports.repositories import FoundSubmap, LoopEnds, PathPoint, PlacedSubmap, SubmapStanding, Waiting
 
@@ -363,9 +364,12 @@ class MemoryLoops(MemoryRepository[LoopRecord]):
 class MemoryJobs(MemoryRepository[JobRecord]):
     """`JobRepository`."""
 
-    def next_runnable(self, now_ms: int, tenant: TenantId, *, hold: bool = False) -> JobRecord | None:
+    def next_runnable(
+        self, now_ms: int, tenant: TenantId, *, lost: bool = True, hold: bool = False
+    ) -> JobRecord | None:
         """See `LeasableJobs`."""
         due = [job for job in self._all() if job.tenant == tenant and _due(job, now_ms)]
+        due = [job for job in due if lost or job.state == OperationState.QUEUED]
         return min(due, key=lambda job: (job.priority, job.number), default=None)
 
     def unfinished(self, tenant: TenantId, operation_ids: Collection[str]) -> frozenset[str]:
@@ -639,15 +643,17 @@ class MemoryTenantTurns:
         self._turns = turns
         self._jobs = jobs
 
-    def waiting(self) -> list[TurnRecord]:
+    def standing(self) -> Standing:
         """See `TenantTurns`."""
         unfinished = (OperationState.QUEUED, OperationState.RUNNING)
-        tenants = {job.tenant for job in self._jobs.of_all_tenants() if job.state in unfinished}
-        return [_sum(tenant, [turn for _, turn in self._rows() if turn.tenant == tenant]) for tenant in sorted(tenants)]
-
-    def latest_start_ms(self) -> int:
-        """See `TenantTurns`."""
-        return max((turn.started_ms for _, turn in self._rows()), default=0)
+        jobs = [job for job in self._jobs.of_all_tenants() if job.state in unfinished]
+        turns = [
+            _sum(tenant, [turn for _, turn in self._rows() if turn.tenant == tenant])
+            for tenant in sorted({job.tenant for job in jobs})
+        ]
+        latest_ms = max((turn.started_ms for _, turn in self._rows()), default=0)
+        running = (job.lease_expires_ms for job in jobs if job.state == OperationState.RUNNING)
+        return Standing(turns, latest_ms, min(running, default=None))
 
     def of_worker(self, worker_id: str) -> list[TurnRecord]:
         """See `TenantTurns`."""
