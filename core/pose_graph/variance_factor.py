@@ -36,6 +36,9 @@ EXPECTED = 5.35
 freedom.
 """
 
+SAME_WAY = 1e-4
+"""Metres and radians by which two drives differ on a way that is one recording, sent twice: no robot drives so again."""
+
 SLACK = 1000.0
 """Neighbours share errors, drift is not seen in small circles, and aliases close theirs: variances are reduced that are
 more than so many times too large, and so far only.
@@ -48,7 +51,8 @@ LEAST = 1e-3
 def variance_factor(graph: PoseGraph) -> float:
     """The factor for all covariances of the graph: 1 unless they are more than `SLACK` times too large.
 
-    Places vote, not circles: neighbours that take one place for another repeat one measurement, and circles close.
+    Places vote, not circles: neighbours that take one place for another repeat one measurement, and circles close. So
+    do those of a recording that was sent twice, which say nothing.
     """
     groups = [_circles(graph, *group) for group in _groups(graph)]
     errors = np.concatenate([np.zeros(0), *(errors for errors, _ in groups)])
@@ -93,13 +97,26 @@ def _circles(graph: PoseGraph, first: str, second: str, loops: list[LoopEdge]) -
     pairs = cKDTree(ends).query_pairs(BESIDE, p=np.inf, output_type="ndarray")
     pairs = pairs[np.lexsort(pairs.T[::-1])]
     pairs = pairs[:: -(-len(pairs) // CIRCLES) or 1]
+    tracks = graph.by_session[first], graph.by_session[second]
+    if first != second and len(pairs):
+        pairs = pairs[~_same_way(*tracks, ends, pairs)]
     if not len(pairs):
         return np.zeros(0), np.zeros(0, np.int64)
-    tracks = graph.by_session[first], graph.by_session[second]
     poses = np.stack([loop.T_match_query for loop in loops])
     covariances = np.stack([loop.covariance for loop in loops])
     found = places(Circles.of(loops, *tracks), np.arange(len(loops)))
     return squared_errors(poses, covariances, ends, pairs, *map(Side.of, tracks)), found[pairs[:, 0]]
+
+
+def _same_way(first: Trajectory, second: Trajectory, ends: Ordinals, pairs: Ordinals) -> NDArray[np.bool_]:
+    """In which circles (n,) of `pairs` (n, 2) of loops with `ends` (m, 2) both drives went the same way exactly."""
+    one, other = ends[pairs[:, 0]].T, ends[pairs[:, 1]].T
+    ways = [
+        se3_rows.inverse(track.T_odom_submap[here]) @ track.T_odom_submap[there]
+        for track, here, there in zip((first, second), one, other, strict=True)
+    ]
+    apart = se3_rows.log(se3_rows.inverse(ways[0]) @ ways[1])
+    return np.asarray(np.abs(apart).max(axis=1) < SAME_WAY)
 
 
 class Side:

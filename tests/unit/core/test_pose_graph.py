@@ -145,6 +145,17 @@ def test_one_stretch_taken_for_another_does_not_say_how_sure_a_graph_is() -> Non
     assert in_map(spoilt, optimise(spoilt).loops) == [loop.name for loop in sparse]
 
 
+def test_a_recording_that_was_sent_twice_keeps_the_loops_across_its_rounds() -> None:
+    """Each submap is its own copy: circles that close exactly say nothing of how sure other loops are."""
+    once = _twice_around(wrong=0)
+    (track,) = once.trajectories
+    copies = [LoopEdge(f"copy-{n:03d}", Node("s", n), Node("t", n), np.eye(4), LOOP_COVARIANCE) for n in range(120)]
+    across = [replace(loop, query=loop.query._replace(session="t")) for loop in once.loops]
+    graph = PoseGraph.of([track, replace(track, session="t")], copies + across)
+    assert variance_factor(graph) == 1.0
+    assert in_map(graph, optimise(graph).loops) == [loop.name for loop in graph.loops]
+
+
 def _twice_around(wrong: int = 20) -> PoseGraph:
     """A drive twice around a road, 20 right loops between its rounds, and wrong ones."""
     rng = np.random.default_rng(5)
