@@ -1,7 +1,7 @@
 """Steps of odometry that no robot drives: it began anew, at its origin, or in the frame of another map.
 
 A jump is told by its time: the way to the next submap is many times as fast as those before and behind it. A robot
-whose scans paused while it drove on is as fast as before. Of such a step nothing is known but that the robot went on:
+whose scans paused while it drove on is as fast as before, or goes on ahead no faster than a car. Of such a step nothing is known but that the robot went on:
 it is taken as the step before it, in any direction, and the loops on either side say the rest.
 """
 
@@ -24,6 +24,9 @@ LEAST_SPEED, TIMES_THE_FASTEST = 2.5, 1.5
 """Metres a second, and times the speed that one step in ten of a session is beyond: slower ways are driven. A robot
 that works from stop to stop, or is in a jam, is slow beside a way without stops."""
 
+ONWARD_SPEED, ONWARD_COSINE = 15.0, float(np.cos(np.radians(45.0)))
+"""Metres a second, and the angle to the steps before and behind, of a way that a robot drove on ahead, without scans."""
+
 NEAR_STEPS = 2
 """Steps before and behind, all of which are slower: a robot that speeds up goes on so."""
 
@@ -36,13 +39,23 @@ def jumps(T_odom_submap: Array64, stamps_ns: NDArray[np.int64]) -> tuple[int, ..
     seconds = np.diff(stamps_ns) / 1e9
     if len(seconds) <= 2 * NEAR_STEPS or (seconds <= 0.0).any():
         return ()
-    steps_m = np.linalg.norm(np.diff(T_odom_submap[:, :3, 3], axis=0), axis=1)
+    steps = np.diff(T_odom_submap[:, :3, 3], axis=0)
+    steps_m = np.linalg.norm(steps, axis=1)
     speeds = steps_m / seconds
     around = np.pad(speeds, NEAR_STEPS)
     beside = [np.roll(around, by)[NEAR_STEPS:-NEAR_STEPS] for by in range(-NEAR_STEPS, NEAR_STEPS + 1) if by]
     driven = max(LEAST_SPEED, TIMES_THE_FASTEST * float(np.quantile(speeds, 0.9, method="lower")))
     fast = speeds > np.maximum(driven, TIMES_AS_FAST * np.max(beside, axis=0))
-    return tuple(np.flatnonzero(fast & (steps_m > max(JUMP_M, TIMES_AS_LONG * float(np.median(steps_m))))).tolist())
+    far = steps_m > max(JUMP_M, TIMES_AS_LONG * float(np.median(steps_m)))
+    driven_on = (speeds <= ONWARD_SPEED) & _goes_on(steps)
+    return tuple(np.flatnonzero(fast & far & ~driven_on).tolist())
+
+
+def _goes_on(steps: Array64) -> NDArray[np.bool_]:
+    """Which steps (n, 3) in odometry lead on ahead, as the ones before and behind do."""
+    lengths = np.linalg.norm(steps, axis=1)
+    turns = np.einsum("ni,ni->n", steps[1:], steps[:-1]) > ONWARD_COSINE * lengths[1:] * lengths[:-1]
+    return np.asarray(np.append(False, turns) & np.append(turns, False))
 
 
 def without_jumps(graph: PoseGraph) -> tuple[PoseGraph, list[OdometryFault]]:

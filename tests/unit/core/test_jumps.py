@@ -76,6 +76,21 @@ def test_a_car_in_a_jam_that_has_driven_as_fast_before_has_not_jumped():
     assert jumps(poses, stamps) == ()
 
 
+@pytest.mark.parametrize(("way_m", "way_s"), [(30.0, 5.0), (100.0, 10.0)])
+@pytest.mark.parametrize("bend_deg", [0.0, 25.0])
+def test_a_car_that_goes_fast_for_once_without_scans_has_not_jumped(way_m, way_s, bend_deg):
+    """5 m in 5 s, but for a way at 6 to 10 m/s on which it drives on, along a bend perhaps; no scan came there."""
+    poses, stamps = drive(), times()
+    chord, half = np.array([way_m, 0.0, 0.0]), se3.from_yaw(np.radians(bend_deg / 2.0))
+    motion = half @ se3.from_rotation_translation(np.eye(3), chord) @ half
+    poses[AT:] = poses[AT - 1] @ motion @ se3.inverse(poses[AT]) @ poses[AT:]
+    stamps[AT:] += round((way_s - 5.0) * SECOND)
+    assert jumps(poses, stamps) == ()
+    sideways = poses[AT - 1] @ se3.from_yaw(np.radians(80.0)) @ se3.inverse(poses[AT - 1])
+    poses[AT:] = sideways @ poses[AT:]
+    assert jumps(poses, stamps) == (AT - 1,)
+
+
 def test_a_drive_that_begins_anew_keeps_its_loops_and_its_place_and_is_told():
     first, second = drive(), began_anew(drive())
     tracks = [
