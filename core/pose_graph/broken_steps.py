@@ -235,12 +235,13 @@ def _odd(track: Trajectory) -> NDArray[np.bool_]:
 class _Event:
     """Broken steps that are one fault.
 
-    correction (6,) in the frame of the map: by how much the fault moves all behind it, about itself. loops and places
-    that speak for it, before and behind.
+    correction (6,) in the frame of the map: by how much the fault moves all behind it, about itself, `at` (3,). loops
+    and places that speak for it, before and behind.
     """
 
     mending: Mending
     correction: Array64
+    at: Array64
     loops: tuple[int, int]
     places: tuple[int, int]
 
@@ -297,7 +298,8 @@ def _event(
     turn = T_map_submap[last][:3, :3]
     in_map = np.concatenate([turn @ tangent[:3], turn @ tangent[3:]])
     mending = Mending(fault, _spread(stated, T_first_last), variances)
-    return _Event(mending, in_map, (len(before), len(behind)), (_places(before), _places(behind)))
+    at = T_map_submap[last][:3, 3]
+    return _Event(mending, in_map, at, (len(before), len(behind)), (_places(before), _places(behind)))
 
 
 def _spread(stated: Array64, T_first_last: se3.Matrix4) -> Array64:
@@ -350,5 +352,7 @@ def _come_back(one: _Event, other: _Event) -> bool:
     A fault of another session moves its surroundings the other way.
     """
     same = one.mending.fault.session == other.mending.fault.session
-    both = replace(one, correction=one.correction + (1.0 if same else -1.0) * other.correction)
+    there = one.correction.copy()
+    there[:3] += np.cross(there[3:], other.at - one.at)
+    both = replace(other, correction=there + (1.0 if same else -1.0) * other.correction)
     return both.size < SMALL_SHARE * max(one.size, other.size)

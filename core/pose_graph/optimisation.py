@@ -172,7 +172,7 @@ def by_loops(
     better = [one for one in found if _explains_more(one.answer, answer, len(one.mendings))]
     least = min((one.answer.price for one in better), default=0.0)
     as_good = [one for one in better if one.answer.price < least + GATE]
-    chosen = min(as_good, key=lambda one: (one.steps, one.answer.price), default=None)
+    chosen = min(as_good, key=lambda one: one.steps, default=None)
     other = chosen and replace(chosen, answer=_weighed(chosen.graph, chosen.answer))
     return SolvedByLoops(graph, _weighed(graph, answer), may_hold=True, otherwise=other)
 
@@ -312,11 +312,28 @@ def _without_faults(
             more = [one for one in found if not one.fault.undecided]
             mended = _mended(fit.graph, more)
             other = _judged(mended, Robustness.COMMIT, progress) if more else fit.answer
-            if not _explains_more(other, fit.answer, len(more)):
+            if not _explains_more(other, fit.answer, len(more)) or _blames_even_steps(
+                fit, doubtful, more, other, progress
+            ):
                 doubtful += [unsure] if (unsure := [one for one in found if one.fault.undecided]) else []
                 break
             fit, faults, doubtful = _Fit(mended, other), faults + [one.fault for one in more], []
     return fit.graph, replace(fit.answer, faults=_in_order(faults)), doubtful
+
+
+def _blames_even_steps(
+    fit: _Fit, doubtful: Sequence[Sequence[Mending]], found: Sequence[Mending], other: OptimisedGraph,
+    progress: Callable[[int, int], None],
+) -> bool:  # fmt: skip
+    """Whether `found` faults, and the `other` answer with them, blame other steps than undecided ones do, which were
+    sought first, among odd steps, and explain as much.
+    """
+    if sum(map(len, fit.graph.trajectories)) > MOST_SOLVED_TWICE:
+        return False
+    blamed = [[all(not it.fault.is_beside(one.fault) for it in unsure) for one in found] for unsure in doubtful]
+    odd = [unsure for unsure, elsewhere in zip(doubtful, blamed, strict=True) if any(elsewhere)]
+    answers = (_judged(_mended(fit.graph, unsure), Robustness.COMMIT, progress) for unsure in odd)
+    return any(answer.price < other.price + GATE for answer in answers)
 
 
 def _mended(graph: PoseGraph, mendings: Sequence[Mending]) -> PoseGraph:
