@@ -1,8 +1,9 @@
 """Steps of odometry that no robot drives: it began anew, at its origin, or in the frame of another map.
 
 A jump is told by its time: the way to the next submap is many times as fast as those before and behind it. A robot
-whose scans paused while it drove on is as fast as before, or goes on ahead no faster than a car. Of such a step nothing is known but that the robot went on:
-it is taken as the step before it, in any direction, and the loops on either side say the rest.
+whose scans paused while it drove on is as fast as before, or goes on ahead no faster than a car. Of such a step nothing
+is known but that the robot went on: it is taken as the step before it, in any direction, and the loops on either side
+say the rest.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ LEAST_SPEED, TIMES_THE_FASTEST = 2.5, 1.5
 that works from stop to stop, or is in a jam, is slow beside a way without stops."""
 
 ONWARD_SPEED, ONWARD_COSINE = 15.0, float(np.cos(np.radians(45.0)))
-"""Metres a second, and the angle to the steps before and behind, of a way that a robot drove on ahead, without scans."""
+"""Metres a second, and the angle to the steps beside it, of a way that a robot drove on ahead, without scans."""
 
 NEAR_STEPS = 2
 """Steps before and behind, all of which are slower: a robot that speeds up goes on so."""

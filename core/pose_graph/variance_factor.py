@@ -37,7 +37,7 @@ freedom.
 """
 
 SAME_WAY = 1e-4
-"""Metres and radians by which two drives differ on a way that is one recording, sent twice: no robot drives so again."""
+"""Metres and radians by which two drives differ on a way of one recording that was sent twice."""
 
 SLACK = 1000.0
 """Neighbours share errors, drift is not seen in small circles, and aliases close theirs: variances are reduced that are
