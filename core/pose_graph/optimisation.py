@@ -42,6 +42,9 @@ MAX_GATINGS = 5
 MAX_MENDINGS = 3
 """How often broken steps are sought again: a mended one may show others."""
 
+ALIKE = 1.0
+"""By how much answers may differ that blame one fault on either of two sessions: no loop tells which."""
+
 FAULT_PRICE = 2 * GATE
 """The least that a fault of odometry must explain: as much as two loops that are set aside."""
 
@@ -172,7 +175,9 @@ def by_loops(
     better = [one for one in found if _explains_more(one.answer, answer, len(one.mendings))]
     least = min((one.answer.price for one in better), default=0.0)
     as_good = [one for one in better if one.answer.price < least + GATE]
-    chosen = min(as_good, key=lambda one: one.steps, default=None)
+    fewest = min((one.steps for one in as_good), default=0)
+    precise = [one for one in as_good if one.steps == fewest]
+    chosen = next((one for one in precise if one.answer.price < min(it.answer.price for it in precise) + ALIKE), None)
     other = chosen and replace(chosen, answer=_weighed(chosen.graph, chosen.answer))
     return SolvedByLoops(graph, _weighed(graph, answer), may_hold=True, otherwise=other)
 
@@ -333,7 +338,7 @@ def _blames_even_steps(
     blamed = [[all(not it.fault.is_beside(one.fault) for it in unsure) for one in found] for unsure in doubtful]
     odd = [unsure for unsure, elsewhere in zip(doubtful, blamed, strict=True) if any(elsewhere)]
     answers = (_judged(_mended(fit.graph, unsure), Robustness.COMMIT, progress) for unsure in odd)
-    return any(answer.price < other.price + GATE for answer in answers)
+    return any(answer.price < other.price + ALIKE for answer in answers)
 
 
 def _mended(graph: PoseGraph, mendings: Sequence[Mending]) -> PoseGraph:

@@ -176,6 +176,39 @@ async def test_an_undecided_fault_is_told_where_surfaces_keep_the_drives_apart()
     assert (summary["frames"], codes) == (2, ["odometry_undecided"])
 
 
+FIRST = 8
+"""Before it no loop of `s1` is known."""
+
+
+class DoubtedBefore(Drives):
+    """Drives of which one has slipped; right loops before that are ambiguous, as many more behind contradict them."""
+
+    def silenced(self, loop) -> Iterator:
+        at = min(self.at_of_s1(loop), default=60)
+        if at < 30:
+            evidence = loop.evidence | {"doubts": {"PAIRWISE_INCONSISTENT": {}} if at >= FIRST else {"BETTER": {}}}
+            yield replace(loop, state="REJECTED", reason="AMBIGUOUS", graph_state=None, evidence=evidence)
+
+
+async def test_a_slip_that_doubted_loops_show_is_mended_where_surfaces_would_keep_the_drives_apart():
+    drives = DoubtedBefore(slipped=True)
+    drives.world.merger = Surfaces(drives.truth())
+    summary, codes, off_m, _ = await drives.optimised()
+    (fault,) = summary["odometry_faults"]
+    assert (fault["kind"], fault["undecided"], codes) == ("SLIP", False, ["odometry_slip"])
+    assert (summary["frames"], summary["loops_set_aside"], off_m < 0.5) == (1, 0, True)
+    await drives.optimised()
+    again = (await drives.world.use_cases.map_versions.get(TENANT, "town", 2)).summary
+    assert [one["kind"] for one in again["odometry_faults"]] == ["SLIP"], "the doubted loops may never be accepted"
+
+
+async def test_a_slip_that_doubted_loops_show_and_surfaces_do_not_decide_is_told_beside_the_drives_kept_apart():
+    drives = DoubtedBefore(slipped=True)
+    drives.world.merger = Contrary()
+    summary, codes, _, _ = await drives.optimised()
+    assert (summary["frames"], codes) == (2, ["odometry_undecided"])
+
+
 class Stranger(FakeMerger):
     """Surfaces that speak against joins with a drive of these submaps, and decide on no fault."""
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -14,6 +14,7 @@ from revisit.core.pose_graph.faults import OdometryFault
 from revisit.core.pose_graph.graph import GraphState
 from revisit.service.domain.identity import TenantId
 from revisit.service.features.graph.anchors import loops_against
+from revisit.service.features.graph.doubted_loops import doubted_loops
 from revisit.service.features.graph.fault_audit import Placed, decided
 from revisit.service.features.graph.reading import MapTask
 from revisit.service.features.graph.released_maps import released_maps
@@ -114,12 +115,39 @@ class JoinAudit:
             found = by_loops[key].held(fixed)
             optimised = asked.decided(found)
             more = asked.refused(optimised)
+            if more:
+                optimised, more = self._by_doubted(task, fixed, loops, optimised, more, asked, progress)
             before = (one for one in undecided if not any(one.is_beside(other) for other in found.faults))
             faults = (*optimised.faults, *before)
             if not more:
-                return replace(optimised, faults=faults, refused_joins=refused, audited=_audited(task))
+                audited = {**_audited(task), **optimised.audited}
+                return replace(optimised, faults=faults, refused_joins=refused, audited=audited)
             refused += more
             undecided = tuple(one for one in faults if one.undecided)
+
+    def _by_doubted(
+        self, task: MapTask, fixed: tuple[TrackAnchor, ...], refused: Mapping[int, str], optimised: OptimisedMap,
+        joins: tuple[RefusedJoin, ...], asked: _Audit, progress: Progress,
+    ) -> tuple[OptimisedMap, tuple[RefusedJoin, ...]]:  # fmt: skip
+        """A solution some of whose `joins` surfaces refuse, and these; or the one with a fault of odometry that doubted
+        loops show, where surfaces refuse nothing with it, and more loops hold: the next version compares them again, as
+        those loops may not be accepted. A fault that surfaces do not decide is told.
+        """
+        tenant, sessions = TenantId(task.map.tenant), {n for join in joins for n in (*join.sessions, *join.others)}
+        submaps = {n for track in task.graph.tracks if track.session_number in sessions for n in track.submaps}
+        read = partial(doubted_loops, tenant=tenant, map_id=task.map.map_id, submaps=submaps)
+        doubted = self._context.transactions.read(read).result()
+        if not doubted:
+            return optimised, joins
+        graph = replace(task.graph, loops=(*task.graph.loops, *doubted), refused=refused)
+        other = asked.decided(self._optimiser.by_loops(graph, progress).held(fixed))
+        broken = [one for one in other.faults if one.kind.is_at_once]
+        mended = any(not one.undecided for one in broken)
+        if mended and _in_map(other) > _in_map(optimised) and not asked.refused(other):
+            asked_again = dict.fromkeys(sessions, 0)
+            return replace(other, loops=other.loops[: len(task.graph.loops)], audited=asked_again), ()
+        told = (replace(one, undecided=True) for one in broken if not any(map(one.is_beside, optimised.faults)))
+        return replace(optimised, faults=(*optimised.faults, *told)), joins
 
     def refused(self, task: MapTask, progress: Progress) -> tuple[RefusedJoin, ...]:
         """The joins that its solution is without; a map is not solved where the version in force has said it."""
@@ -194,6 +222,10 @@ class _Audit:
         if not one or not other:
             return None
         return self._merger.audit(one, other, self._surfaces, self._scale, most, self._progress)
+
+
+def _in_map(optimised: OptimisedMap) -> int:
+    return sum(loop.state is GraphState.IN_MAP for loop in optimised.loops)
 
 
 def _neural_map(context: JobContext, tenant: TenantId, number: int) -> bytes:

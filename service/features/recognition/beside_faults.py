@@ -12,19 +12,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from revisit.core.acceptance import Doubt
 from revisit.core.acceptance.neighbour_support import NeighbourLoop, agrees
 from revisit.core.config import VerificationConfig
 from revisit.core.geometry import se3
 from revisit.core.geometry.se3 import Matrix4, pose_matrix
 from revisit.core.pose_graph.faults import FaultKind
 from revisit.service.domain.records import LoopRecord, MapRecord, SubmapRecord
+from revisit.service.features.graph.doubted_loops import is_doubted_by_others
 from revisit.service.features.graph.map_frames import MapFrames
 from revisit.service.ports.map_optimiser import FAULTS
 from revisit.service.ports.transactions import UnitOfWork
-
-_BY_OTHERS = frozenset({Doubt.PAIRWISE_INCONSISTENT, Doubt.SUPPORT_LOST})
-"""Doubts that loops raise which lie across a broken step."""
 
 LOOPS_AT_ONCE = 500
 """Loops, whose submaps are as many as may be asked for at once."""
@@ -76,7 +73,7 @@ def loops_beside_faults(
     page = uow.loops.rejected(record.tenant, record.map_id, ["AMBIGUOUS"], after=after, limit=LOOPS_AT_ONCE)
     sessions = {one.submap.session_id for one in sides}
     beside = [one.number for one in page if sessions & {one.query_session_id, one.match_session_id}]
-    loops = [one for one in uow.loops.numbered(record.tenant, beside).values() if _is_doubted_by_others(one)]
+    loops = [one for one in uow.loops.numbered(record.tenant, beside).values() if is_doubted_by_others(one)]
     numbers = {number for loop in loops for number in (loop.query_number, loop.match_number)}
     submaps = uow.submaps.numbered(record.tenant, sorted(numbers))
     found = []
@@ -88,12 +85,6 @@ def loops_beside_faults(
         if T_match_query is not None:
             found.append((loop, T_match_query))
     return found, page[-1].number if len(page) == LOOPS_AT_ONCE else None
-
-
-def _is_doubted_by_others(loop: LoopRecord) -> bool:
-    """Whether nothing but other loops speaks against an ambiguous one."""
-    doubts = loop.evidence.get("doubts", {}).keys()
-    return bool(doubts) and doubts <= _BY_OTHERS
 
 
 def _sides(uow: UnitOfWork, record: MapRecord, frames: MapFrames) -> list[_Side]:
