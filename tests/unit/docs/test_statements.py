@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import re
+import shlex
+from functools import cache
+from itertools import takewhile
 from pathlib import Path
 
 import pytest
@@ -17,6 +20,8 @@ from revisit.service.settings import Settings
 
 USERS = ("how-to", "quick-start", "tutorial")
 COMMAND = re.compile(r"(?:^|`)(revisit(?: [a-z][a-z-]*){1,2})(?=[ `\n])", re.MULTILINE)
+LINE = re.compile(r"^ *(revisit [^`\n]*(?:\\\n[^`\n]*)*)$|`(revisit [^`\n]+)`", re.MULTILINE)
+SHELL = ("|", "||", "&", "&&", ";", ">", "<")
 ROOT = Path(__file__).resolve().parents[3]
 
 
@@ -63,7 +68,7 @@ def test_a_how_to_is_a_page_of_a_hundred_lines(path):
 
 
 def test_each_command_that_a_page_for_users_names_is_one():
-    groups = {("revisit",): get_command(app).commands}
+    groups = {("revisit",): _revisit().commands}
     groups |= {
         ("revisit", name): one.commands for name, one in groups[("revisit",)].items() if hasattr(one, "commands")
     }
@@ -77,3 +82,25 @@ def test_each_command_that_a_page_for_users_names_is_one():
         if words[: len(group)] == group and len(words) > len(group) and words[len(group)] not in commands
     ]
     assert unknown == []
+
+
+def test_each_option_that_a_page_for_users_gives_to_a_command_is_one_of_it():
+    pages = [ROOT / "README.md", *(file for part in USERS for file in (ROOT / "docs" / part).glob("*.md"))]
+    lines = [(path.name, line) for path in pages for pair in LINE.findall(path.read_text()) for line in pair if line]
+    assert len(lines) > 100
+    assert [(name, line, said) for name, line in lines if (said := _unknown_in(line))] == []
+
+
+@cache
+def _revisit():
+    return get_command(app)
+
+
+def _unknown_in(line: str) -> list[str]:
+    """The options of a line of the shell that its command of `revisit` does not have."""
+    words = list(takewhile(lambda word: word not in SHELL, shlex.split(line.replace("\\\n", " "), comments=True)[1:]))
+    command = _revisit()
+    while words and words[0] in getattr(command, "commands", {}):
+        command = command.commands[words.pop(0)]
+    known = {name for option in command.params for name in (*option.opts, *option.secondary_opts)} | {"--help"}
+    return [word for word in words if word.startswith("--") and word.partition("=")[0] not in known]
