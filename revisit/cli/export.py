@@ -14,7 +14,7 @@ from revisit.cli.extras import what_is_missing
 from revisit.cli.moments import AsOf, Ever, moment_ns
 from revisit.cli.options import HTTP, Http, Json, MapName
 from revisit.cli.output import emit_json, progress_bar, refuse, reporter, say, signs
-from revisit.cli.recordings import Poses, opened
+from revisit.cli.recordings import Mounting, Odometry, Poses, Topic, opened
 from revisit.cli.submap_names import session_name
 from revisit.core.errors import BadField
 
@@ -69,8 +69,15 @@ def export(
     session_id: Annotated[str, typer.Option("--session", help="Only this session; tum and scans need one.")] = "",
     out: Annotated[Path | None, typer.Option(help="File to write; g2o, tum and csv go to stdout by default.")] = None,
     recording: Annotated[
-        Path | None, typer.Option(exists=True, help="scans: the recording that the session was ingested from.")
+        Path | None,
+        typer.Option(
+            exists=True,
+            help="scans: the recording that the session was ingested from, with the options that say how it is read.",
+        ),
     ] = None,
+    topic: Topic = None,
+    odometry: Odometry = None,
+    mounting: Mounting = None,
     poses: Poses = None,
     frame: Annotated[
         str, typer.Option(help="map, or enu: metres east, north and up from the origin of a map on earth.")
@@ -105,7 +112,8 @@ def export(
         raise refuse("--epsg is of --format laz and copc, without --frame")
     try:
         if file_format == "scans" and recording is not None and out is not None:
-            summary = _write_scans(out, http, (map_id, session_id), opened(recording, "auto", None, None, None, poses))
+            read = opened(recording, "auto", topic, odometry, mounting, poses)
+            summary = _write_scans(out, http, (map_id, session_id), read)
         elif out is None or file_format in TEXTS:
             summary = _write_text(file_format, out, http, map_id, session_id)
         else:
@@ -237,7 +245,10 @@ def _write_scans(out: Path, http: str, chosen: tuple[str, str], recording: Recor
     with Client(http) as client:
         submaps = client.list_submaps(session)
     if not all(has_place(recording, submap) for submap in submaps):
-        raise refuse(f"{recording.name} is not the recording of {session}, or not as it is read now")
+        raise refuse(
+            f"{recording.name} is not the recording of {session}, or was read otherwise: give the --topic, --odometry, "
+            "--T-body-sensor and --poses that `revisit ingest` was given"
+        )
     placed = {one.name: one.T_map_submap for one in placed_submaps(http, *chosen)}
     corrections = corrections_of(submaps, placed)
     if not corrections:

@@ -10,9 +10,12 @@ from typer.testing import CliRunner
 
 from revisit import Client
 from revisit.cli.app import app
+from revisit.core.geometry import se3
 from revisit.evaluation.datasets import write_kitti
+from revisit.formats import npy
 from revisit.sdk.errors import NotFound
 from tests.support.service_world import cloud_points, pose
+from tests.support.yards import yard
 
 
 def invoke(*arguments, status=0, answer=None):
@@ -81,3 +84,16 @@ def test_every_scan_of_a_recording_gets_its_pose_in_the_map(service, tmp_path):
     assert refused.exit_code == 1 and "is not the recording of" in refused.output
     needs = CliRunner().invoke(app, [str(word) for word in (*export, "--out", out)])
     assert needs.exit_code == 1 and "--recording" in needs.output
+
+
+def test_every_scan_gets_its_pose_in_the_map_where_poses_were_made_of_the_clouds(service, tmp_path):
+    pytest.importorskip("kiss_icp", reason="in the extra `kiss-icp`")
+    recording, out, scans = tmp_path / "clouds", tmp_path / "scans.tum", 12
+    recording.mkdir()
+    for n in range(scans):
+        seen = se3.apply(se3.inverse(pose(float(n))), yard(1).vertices[::8]).astype(np.float32)
+        (recording / f"{n}.npy").write_bytes(npy.encode(seen))
+    invoke("ingest", recording, "--odometry", "kiss-icp", "--map", "made", "--grpc", service.grpc)
+    export = ("export", "--format", "scans", "--map", "made", "--session", "clouds", "--http", service.http)
+    invoke(*export, "--recording", recording, "--odometry", "kiss-icp", "--out", out)
+    assert np.loadtxt(out)[-1, 1] == pytest.approx(scans - 1, abs=0.1)
