@@ -20,13 +20,13 @@ from revisit.cli.output import emit_json, emit_table, progress_bar, refuse, sign
 from revisit.cli.recordings import Deskew, Format, Mounting, Odometry, Poses, Topic, opened
 from revisit.cli.waiting import teller_of_no_worker
 from revisit.core.errors import RevisitError
-from revisit.sdk.errors import NotFound
+from revisit.sdk.errors import ApiError, NotFound
 
 if TYPE_CHECKING:
     from revisit.evaluation.datasets import Recording
     from revisit.sdk.anchors import NewAnchor
     from revisit.sdk.client import Client, ScanStream
-    from revisit.sdk.resources import Session, Submap
+    from revisit.sdk.resources import LoopClosure, Session, Submap
     from revisit.sdk.scan_choice import Send
     from revisit.sdk.spooled_stream import SpooledStream
     from revisit.sdk.transport import Refusal
@@ -41,6 +41,9 @@ Finish = Annotated[
 ]
 
 POLL_S = 1.0
+LOOPS_S = 60.0
+"""So long the loops of the last submaps are waited for, once these are described."""
+
 REFUSED_TOLD = 5
 """So many refused scans are told one by one."""
 
@@ -249,7 +252,7 @@ def _transfer(
         anchors = client.sessions.post_anchors(session, fixes.of(recording))
         session, sent = _sent(client, session, recording, extent, as_json)
         submaps = _described(client, session, as_json) if extent.wait else client.list_submaps(session)
-        found = client.loop_closures(f"maps/{target.map_id}", session=session)
+        found = _loops(client, session, submaps if extent.wait else [])
         session = client.get_session(session.name)
     states = [submap.state for submap in submaps]
     done = Ingested(
@@ -431,3 +434,17 @@ def _described(client: Client, session: Session, quiet: bool) -> list[Submap]:
                 return submaps
             look()
             time.sleep(POLL_S)
+
+
+def _loops(client: Client, session: Session, submaps: list[Submap]) -> list[LoopClosure]:
+    """The loops of the session, once they were searched for with all of these submaps, or have taken long."""
+    signs.doing("searching for the loops of the last submaps")
+    map_ = session.name.partition("/sessions/")[0]
+    last = max((submap.seq for submap in submaps), default=0)
+    try:
+        return client.loop_closures(map_, session=session, min_seq=last, min_seq_timeout_s=LOOPS_S)
+    except ApiError as error:
+        if error.reason != "SEQ_NOT_REACHED":
+            raise
+    tell("revisit: loops of the last submaps are still searched for; `revisit loops` lists them later")
+    return client.loop_closures(map_, session=session)

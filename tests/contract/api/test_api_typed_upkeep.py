@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import threading
 
 import numpy as np
 import pytest
@@ -14,6 +15,9 @@ from revisit.core.geometry import se3
 from revisit.evaluation.datasets import write_kitti
 from revisit.formats import npy
 from revisit.sdk.errors import NotFound
+from revisit.service.features.waiting.freshness import ReadYourWrites
+from tests.support.fake_recogniser import FakeRecogniser
+from tests.support.patience import PATIENCE_S
 from tests.support.service_world import cloud_points, pose
 from tests.support.yards import yard
 
@@ -97,3 +101,27 @@ def test_every_scan_gets_its_pose_in_the_map_where_poses_were_made_of_the_clouds
     export = ("export", "--format", "scans", "--map", "made", "--session", "clouds", "--http", service.http)
     invoke(*export, "--recording", recording, "--odometry", "kiss-icp", "--out", out)
     assert np.loadtxt(out)[-1, 1] == pytest.approx(scans - 1, abs=0.1)
+
+
+def test_ingest_counts_the_loops_of_the_last_submap_too(service, tmp_path, monkeypatch):
+    """The last submap is described, and its loops are still searched for."""
+    recording, asked, verify = tmp_path / "drive", threading.Event(), FakeRecogniser.verify
+    reached = ReadYourWrites.reached
+
+    def verify_late(*pair):
+        assert asked.wait(PATIENCE_S)
+        return verify(*pair)
+
+    def reached_for(self, tenant, map_id, wanted):
+        if wanted.min_seq:
+            asked.set()
+        return reached(self, tenant, map_id, wanted)
+
+    for name in ("monday", "tuesday"):
+        write_kitti(recording, ((cloud_points(3, 500), pose(float(n)), n * 10**8) for n in range(10)))
+        command = ("ingest", recording, "--map", "late", "--session", name, "--grpc", service.grpc, "--json")
+        done = json.loads(invoke(*command))
+        monkeypatch.setattr(FakeRecogniser, "verify", verify_late)
+        monkeypatch.setattr(ReadYourWrites, "reached", reached_for)
+    asked.set()
+    assert (done["loop_closures"], done["no_loops"]) == (1, None)
