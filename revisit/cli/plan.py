@@ -27,7 +27,7 @@ def plan(
     days: Annotated[float, typer.Option(min=1.0, max=36500.0, help="Days after which the disk is looked at.")] = 30.0,
     retention: Annotated[str, typer.Option(help="What is kept, as `revisit map retention --set` takes it.")] = "",
     cores: Annotated[int, typer.Option(min=1, help="Cores of a machine.")] = 16,
-    disk_tb: Annotated[float, typer.Option("--disk-tb", min=0.001, help="Terabytes of its disk.")] = 4.0,
+    disk_tb: Annotated[float, typer.Option("--disk-tb", min=0.001, max=1e6, help="Terabytes of its disk.")] = 4.0,
     json: Json = False,
 ) -> None:
     """Print the cores, memory, disk, rows and network that a fleet takes, and where each choice ends."""

@@ -163,6 +163,15 @@ def test_the_hour_begins_when_the_last_row_goes(storage, clock):
     assert asyncio.run(collect(storage)) == 1 and not storage.blobs.exists(TENANT, *BLOB)
 
 
+def test_a_blob_that_another_row_names_stays_however_long_ago_one_went(storage, clock):
+    with_a_released_blob(storage)
+    for seq in (1, 2):
+        storage.transactions.write(partial(name_it, seq=seq)).result()
+    with_one_row_less(storage, 1)
+    clock.ms += 2 * HOUR_MS
+    assert asyncio.run(collect(storage)) == 0 and storage.blobs.exists(TENANT, *BLOB)
+
+
 def test_a_collection_that_was_cut_off_is_ended_by_the_next(storage, clock):
     with_a_released_blob(storage)
     storage.transactions.write(begin).result()

@@ -4,7 +4,11 @@ from __future__ import annotations
 
 import asyncio
 import json
+import os
+import signal
 from contextlib import closing
+from itertools import count
+from multiprocessing import get_context
 
 import pytest
 from typer.testing import CliRunner
@@ -22,11 +26,12 @@ from revisit.service.engines.postgres import connections as postgres
 from revisit.service.engines.postgres.transactions import PostgresTransactions
 from revisit.service.engines.s3.blobs import S3BlobStore
 from revisit.service.features.audit.calls import judge
-from revisit.service.moving import move_installation
+from revisit.service.moving import NOTE, move_installation
 from revisit.service.settings import Settings
 from tests.faults.drive import undisturbed
 from tests.support.credentials import a_key
 from tests.support.live_service import connected, live_service, published_drives
+from tests.support.patience import PATIENCE_S
 from tests.support.postgres import shared_server
 from tests.support.s3 import nanio, variables
 from tests.support.service_world import SESSION, TENANT, _world, open_session, policy, sqlite_world, submap
@@ -141,6 +146,33 @@ async def test_a_broken_move_goes_on_where_it_ended(home, server, monkeypatch):
     assert digest(target) == digest(source)
     assert sum(count for _, count in portions) == sum(digest(source)[0].values()) > came
     source.dispose(), target.dispose()
+
+
+def test_a_move_that_is_killed_again_and_again_goes_on_until_all_is_there(home, tmp_path, server, monkeypatch):
+    monkeypatch.setattr(move, "PORTION", 2)
+    url, there = server.made_database(), tmp_path / "there"
+    target = Settings(home=there, database_url=url.render_as_string(hide_password=False))
+    for call in (1, 12, 30):
+        mover = get_context("fork").Process(target=killed_at, args=(call, Settings(home=home), target))
+        mover.start()
+        mover.join(PATIENCE_S)
+        assert mover.exitcode == -signal.SIGKILL
+    told = move_installation(Settings(home=home), target, quiet)
+    assert told.rows["submaps"] == 6 and not (home / NOTE).exists()
+    engine = postgres.writer_engine(url)
+    assert digest(engine) == (told.rows, told.sha256)
+    engine.dispose()
+
+
+def killed_at(call: int, source: Settings, target: Settings) -> None:
+    """Move until so much has come, then die."""
+    calls = count(1)
+
+    def progress(_name: str, _count: int) -> None:
+        if next(calls) == call:
+            os.kill(os.getpid(), signal.SIGKILL)
+
+    move_installation(source, target, progress)
 
 
 async def test_a_place_with_rows_is_refused(home, server):

@@ -98,5 +98,6 @@ def test_the_command_prints_it_and_refuses_what_is_no_policy():
     assert "cores of workers" in told and "ends: " in told
     found = json.loads(CliRunner().invoke(app, ["plan", "--json"]).output)
     assert found["need"]["submaps_s"] == 0.2 and "worker_mib" in found["constants"]
-    refused = CliRunner().invoke(app, ["plan", "--retention", "scans=often"])
-    assert refused.exit_code != 0
+    for wrong in (("--retention", "scans=often"), ("--disk-tb", "inf", "--json"), ("--days", "nan"), ("--hz", "0")):
+        refused = CliRunner().invoke(app, ["plan", *wrong])
+        assert refused.exit_code != 0 and isinstance(refused.exception, SystemExit), wrong

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+import time
 from dataclasses import dataclass
 from functools import partial
 
@@ -11,6 +12,7 @@ from sqlalchemy import text
 
 from revisit.service.domain.errors import StaleLease
 from revisit.service.engines.local.sqlite.transactions import SqliteTransactions
+from revisit.service.engines.postgres.engine import FRESH_S
 from revisit.service.engines.postgres.transactions import PostgresTransactions
 from tests.support.made_database import made_database
 from tests.support.patience import eventually
@@ -135,6 +137,18 @@ def test_the_server_tells_the_time_of_its_store(postgres_url):
     first = store.write(lambda uow: uow.now_ms()).result()
     eventually(lambda: store.read(lambda uow: uow.now_ms()).result() > first)
     store.close()
+
+
+def test_a_transaction_that_has_lasted_asks_for_the_time_anew(postgres_url):
+    store = PostgresTransactions(postgres_url, clock=SteppedClock("boot", 0))
+    begun_ms, now_ms = store.write(lambda uow: (uow.now_ms(), time.sleep(2 * FRESH_S), now_of(uow))[::2]).result()
+    assert now_ms >= begun_ms + 1900 * FRESH_S
+    store.close()
+
+
+def now_of(uow) -> int:
+    """The time of the store as another member of the same group would ask for it."""
+    return uow.engine.now_ms(uow.connection)
 
 
 class Reboots:
