@@ -36,10 +36,11 @@ from revisit.core.acceptance.rules import (
     stride_of_drive,
     submaps_asked,
 )
-from revisit.core.acceptance.support import VerifyNear
+from revisit.core.acceptance.support import VerifyNear, most_moved_m, unsupported
 
 __all__ = [
     "MOST_MOVED_M", "TELLING", "Decided", "Distinctiveness", "Doubt", "Drive", "Grounds", "LoopClaim", "PredictedPoses",
     "Station", "StationInMap", "Support", "VerifyNear", "accept", "accept_cloud", "accept_near", "best_loop",
-    "is_decided_by_way", "stride_of_drive", "submaps_asked", "verify_in_turn", "without_waiting",
+    "is_decided_by_way", "most_moved_m", "stride_of_drive", "submaps_asked", "unsupported", "verify_in_turn",
+    "without_waiting",
 ]  # fmt: skip

@@ -44,17 +44,21 @@ class Support:
     """Claims beside an ambiguous one that single out its pose.
 
     anchors: submaps of the query's drive whose accepted loops agree; agreeing: all loops that do; along_m: metres of
-    both drives that they cover; ruled_out: the other poses T_match_query (4, 4) that had fitted as well.
+    both drives that they cover; ruled_out: the other poses T_match_query (4, 4) that had fitted as well. on_earth: no
+    claims single it out, but the places on earth of both drives (docs/decisions/0362).
     """
 
     anchors: int
     agreeing: int
     along_m: float
     ruled_out: tuple[Matrix4, ...]
+    on_earth: bool = False
 
     @property
     def words(self) -> str:
         """The support as a sentence."""
+        if self.on_earth:
+            return f"{len(self.ruled_out)} other poses fit as well; anchors beside both agree with this one alone"
         return (
             f"{len(self.ruled_out)} other poses fit as well; accepted loops of {self.anchors} submaps beside it, "
             f"{self.agreeing} loops over {self.along_m:.0f} m of both drives, agree with this one alone"

@@ -14,11 +14,11 @@ relative pose in the map.
 """
 
 
-def accept_near(verdict: PairVerdict, T_match_query: Matrix4, scene_scale: float) -> PairVerdict:
+def accept_near(verdict: PairVerdict, T_match_query: Matrix4, most_moved_m: float) -> PairVerdict:
     """The verdict on a pair tested from T_match_query (4, 4) of the map: FAR_FROM_MAP where it passes elsewhere."""
     if not isinstance(verdict, VerifiedLoop):
         return verdict
     moved = se3.inverse(T_match_query) @ verdict.measurement.T_match_query
-    if float(np.linalg.norm(moved[:3, 3])) <= MOST_MOVED_M * scene_scale:
+    if float(np.linalg.norm(moved[:3, 3])) <= most_moved_m:
         return verdict
     return RejectedLoop(RejectionReason.FAR_FROM_MAP, verdict.measurement)

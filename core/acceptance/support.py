@@ -22,6 +22,11 @@ VerifyNear = Callable[[int, InitialPose], PairVerdict]
 """Verify the pair of the claim in a row again, around a T_match_query (4, 4)."""
 
 
+def most_moved_m(config: VerificationConfig) -> float:
+    """How far a pair that is registered from one of several poses may end from it, metres: else it is another one."""
+    return 0.5 * config.rival_distance
+
+
 def without_lost_support(
     claims: Sequence[LoopClaim], config: VerificationConfig, stride_m: float
 ) -> dict[int, LoopClaim]:
@@ -39,10 +44,12 @@ def without_lost_support(
         for n, claim in enumerate(chosen):
             if not claim.decided_by_others or claim.by_hand or not between.agrees_with_any(n, gone):
                 continue
+            if claim.support is not None and claim.support.on_earth:
+                continue
             poses = (claim.hypotheses[0], *_ruled_out(claim))
             support = find_support(poses, between.neighbours(n), config)
             if support is None or support.hypothesis != 0:
-                lost[rows[n]] = _unsupported(claim)
+                lost[rows[n]] = unsupported(claim, "loops beside it had decided it, and were contradicted since")
     return lost
 
 
@@ -50,9 +57,9 @@ def _ruled_out(claim: LoopClaim) -> tuple[Matrix4, ...]:
     return () if claim.support is None else claim.support.ruled_out
 
 
-def _unsupported(claim: LoopClaim) -> LoopClaim:
-    """The claim without its support: the poses that it had ruled out are rivals again."""
-    grounds = Grounds("loops beside it had decided it, and were contradicted since")
+def unsupported(claim: LoopClaim, words: str) -> LoopClaim:
+    """The claim without its support, for the reason in words: the poses that it had ruled out are rivals again."""
+    grounds = Grounds(words)
     rivals = [Hypothesis(claim.overlap, pose) for pose in _ruled_out(claim)]
     return replace(claim, support=None).doubted(Doubt.SUPPORT_LOST, grounds, rivals)
 
@@ -84,7 +91,7 @@ def _registered(
     if not isinstance(verdict, VerifiedLoop):
         return None
     moved_m = float(np.linalg.norm(verdict.measurement.T_match_query[:3, 3] - hypothesis[:3, 3]))
-    if moved_m > 0.5 * config.rival_distance:
+    if moved_m > most_moved_m(config):
         return None
     others = tuple(pose for n, pose in enumerate(claim.hypotheses) if n != support.hypothesis)
     found = Support(support.anchors, support.agreeing, support.along_m, others)

@@ -11,10 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from revisit.core.geometry import geodesy, se3
-from revisit.core.geometry.se3 import pose_matrix, pose_row
+from revisit.core.geometry.se3 import Matrix4, pose_matrix, pose_row
 from revisit.core.merge.evidence import MergeRefusal
 from revisit.core.pose_graph.anchors import Anchor, AnchoredSession, Heading
 from revisit.core.pose_graph.anchors_against_loops import refuted_by_anchors
+from revisit.core.pose_graph.anchors_for_loops import AnchorsForLoops, OpenPair
 from revisit.core.pose_graph.graph import LoopEdge, Node
 from revisit.service.domain.identity import TenantId
 from revisit.service.domain.records import AnchorRecord, MapRecord
@@ -140,22 +141,60 @@ def loops_against(graph: MapGraph, fixed: Sequence[TrackAnchor]) -> dict[int, st
     """The loops of a graph that anchors speak against, by number, each with the reason."""
     if not fixed:
         return {}
-    nodes = {
-        number: Node(str(track.session_number), place)
-        for track in graph.tracks
-        for place, number in enumerate(track.submaps)
-    }
-    drives = {str(track.session_number): track.T_odom_submap for track in graph.tracks}
+    nodes = _nodes(graph)
     unread = np.eye(6)  # the covariance of a loop says nothing here
     loops = [
         LoopEdge(str(one.number), nodes[one.match], nodes[one.query], one.T_match_query, unread) for one in graph.loops
     ]
-    anchors = [
+    refuted = refuted_by_anchors(_drives(graph), loops, _anchors(nodes, fixed))
+    return dict.fromkeys(sorted(map(int, refuted)), MergeRefusal.ANCHORS_DISAGREE.value)
+
+
+@dataclass(frozen=True)
+class AnchoredSubmaps:
+    """The submaps of a map, by number, and where their anchors put them."""
+
+    nodes: Mapping[int, Node]
+    asked: AnchorsForLoops
+
+    @classmethod
+    def of(cls, graph: MapGraph, fixed: Sequence[TrackAnchor]) -> AnchoredSubmaps:
+        """Those of a graph, by these anchors."""
+        nodes = _nodes(graph)
+        return cls(nodes, AnchorsForLoops(_drives(graph), _anchors(nodes, fixed)))
+
+    def pair(self, number: int, match: int, query: int, poses: tuple[Matrix4, ...]) -> OpenPair:
+        """The pair of loop `number` between two submaps, and the poses T_match_query (4, 4) that fit it."""
+        return OpenPair(str(number), self.nodes[match], self.nodes[query], poses)
+
+    def is_within(self, match: int, query: int, reach_m: float) -> bool:
+        """Whether anchors put two submaps so near to each other."""
+        if match not in self.nodes or query not in self.nodes:
+            return False
+        apart_m = self.asked.apart_m(self.nodes[match], self.nodes[query])
+        return apart_m is not None and apart_m <= reach_m
+
+    def agree(self, match: int, query: int, T_match_query: Matrix4) -> bool:
+        """Whether anchors put a query at this pose (4, 4)."""
+        return self.asked.agree(self.nodes[match], self.nodes[query], T_match_query)
+
+
+def _nodes(graph: MapGraph) -> dict[int, Node]:
+    return {
+        number: Node(str(track.session_number), place)
+        for track in graph.tracks
+        for place, number in enumerate(track.submaps)
+    }
+
+
+def _drives(graph: MapGraph) -> dict[str, Array64]:
+    return {str(track.session_number): track.T_odom_submap for track in graph.tracks}
+
+
+def _anchors(nodes: Mapping[int, Node], fixed: Iterable[TrackAnchor]) -> list[Anchor]:
+    return [
         Anchor(str(one.number), nodes[one.submap], one.point_submap, one.place_enu, one.covariance) for one in fixed
     ]
-    return dict.fromkeys(
-        sorted(map(int, refuted_by_anchors(drives, loops, anchors))), MergeRefusal.ANCHORS_DISAGREE.value
-    )
 
 
 def stored_frames(frames: Iterable[FrameOnEarth], names: Mapping[int, str]) -> list[dict[str, Any]]:

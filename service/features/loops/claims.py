@@ -129,6 +129,18 @@ def claim_of_row(loop: LoopRecord, query: SubmapRecord, match: SubmapRecord) -> 
     return LoopClaim(station(query), station(match), verdict, doubts, support, by_hand=loop.manual)
 
 
+def poses_of(loop: LoopRecord) -> tuple[Matrix4, ...]:
+    """The poses T_match_query (4, 4) of a stored loop that has one: its own, and the rivals."""
+    measured = _measurement_from(loop)
+    return (measured.T_match_query, *(rival.T_match_query for rival in measured.rivals))
+
+
+def is_by_anchors(loop: LoopRecord) -> bool:
+    """Whether anchors chose the pose of a stored loop (docs/decisions/0362)."""
+    support = loop.evidence.get("support")
+    return support is not None and bool(support.get("on_earth"))
+
+
 def loop_state(claim: LoopClaim) -> LoopState:
     """The state of the row of a claim."""
     if claim.waits:
@@ -206,26 +218,29 @@ def _judgement(claim: LoopClaim) -> Evidence:
     if claim.doubts:
         evidence["doubts"] = {doubt.value: {"words": of.words, **of.figures} for doubt, of in claim.doubts.items()}
     if claim.support is not None:
-        evidence["support"] = _support_json(claim.support)
+        evidence["support"] = support_evidence(claim.support)
     if claim.distinctiveness is not None:
         evidence["distinctiveness"] = dataclasses.asdict(claim.distinctiveness)
     return evidence
 
 
-def _support_json(support: Support) -> Evidence:
+def support_evidence(support: Support) -> Evidence:
+    """A support as a member of the evidence."""
     return {
         "anchors": support.anchors,
         "agreeing": support.agreeing,
         "along_m": round(support.along_m, 3),
         "ruled_out": [pose.tolist() for pose in support.ruled_out],
         "words": support.words,
+        **({"on_earth": True} if support.on_earth else {}),
     }
 
 
 def _support_from(stored: Evidence | None) -> Support | None:
     if stored is None:
         return None
-    return Support(stored["anchors"], stored["agreeing"], stored["along_m"], tuple(_poses(stored["ruled_out"])))
+    counts = stored["anchors"], stored["agreeing"], stored["along_m"]
+    return Support(*counts, tuple(_poses(stored["ruled_out"])), on_earth=stored.get("on_earth", False))
 
 
 def _grounds_from(stored: Evidence) -> Grounds:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import heapq
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import islice
@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from revisit.core.acceptance import MOST_MOVED_M, accept_near
+from revisit.core.acceptance import MOST_MOVED_M, Support, accept_near, most_moved_m, unsupported
 from revisit.core.geometry import se3
 from revisit.core.geometry.se3 import Matrix4, pose_matrix, pose_row
 from revisit.core.pair_verdict import Authority, InitialPose, PairVerdict, RejectedLoop, VerifiedLoop
@@ -26,17 +26,30 @@ from revisit.service.domain.records import LoopRecord, MapRecord, SubmapRecord
 from revisit.service.domain.states import LoopEventKind, LoopState, SubmapState
 from revisit.service.failpoints import failpoint
 from revisit.service.features.corrections.job import EarlyCorrections
+from revisit.service.features.graph.edits import note_edit
 from revisit.service.features.graph.map_frames import LoopInMap, MapFrames
 from revisit.service.features.graph.posting import optimise_soon
 from revisit.service.features.index.comparison import Comparison
 from revisit.service.features.index.place_memory import RecalledPlace
-from revisit.service.features.loops.claims import rules_of, unjudged, verdict_evidence
+from revisit.service.features.loops.claims import (
+    Evidence,
+    claim_of_row,
+    is_by_anchors,
+    loop_state,
+    revised_evidence,
+    rules_of,
+    support_evidence,
+    unjudged,
+    verdict_evidence,
+)
 from revisit.service.features.loops.rows import Change, LoopStanding, change_loop, decided_by_person
 from revisit.service.features.operations.progress import OperationCancelled, Progress
+from revisit.service.features.recognition.beside_anchors import ChosenLoop, loops_by_anchors
 from revisit.service.features.recognition.beside_faults import LOOPS_AT_ONCE, MendedSteps, loops_beside_faults
 from revisit.service.ports.job_context import JobContext
 from revisit.service.ports.job_queue import CANCELLED, Lease
 from revisit.service.ports.recogniser import PlaceRecogniser
+from revisit.service.ports.storage import require_map
 from revisit.service.ports.transactions import Transactions, UnitOfWork
 
 RECALL = "recall"
@@ -50,6 +63,10 @@ loops decide (docs/decisions/0161), but for those beside a fault of odometry (`b
 MOST_RECALLED = 50
 """Loops, at most, that one version of a map gives another chance."""
 
+_FROM = {False: "where the map has the two submaps", True: "the one of its poses where anchors put the two submaps"}
+
+_LOST = "anchors had chosen its pose, and do not agree with it any more"
+
 SAME_M = 0.5
 SAME_RAD = np.radians(2.0)
 """A pair is tested again once its relative pose has moved by so much."""
@@ -59,13 +76,17 @@ _ROUNDING_M = 1e-6
 
 @dataclass(frozen=True)
 class RecalledLoop:
-    """A rejected loop, its two submaps, how the map says they lie, and the verdict from there once it is known."""
+    """A rejected loop, its two submaps, how the map says they lie, and the verdict from there once it is known.
+
+    ruled_out: the other poses T_match_query (4, 4) where anchors have chosen this one; None where the map says it.
+    """
 
     map: MapRecord
     record: LoopRecord
     query: SubmapRecord
     match: SubmapRecord
     T_match_query: Matrix4
+    ruled_out: tuple[Matrix4, ...] | None = None
     verdict: PairVerdict | None = None
 
 
@@ -74,6 +95,7 @@ class _Found:
     map: MapRecord
     record: LoopRecord
     T_match_query: Matrix4
+    ruled_out: tuple[Matrix4, ...] | None = None
 
 
 _Page = tuple[list[_Found], int | None]
@@ -93,49 +115,76 @@ class LoopRecallJob:
         """Test the loops of a map and store the verdicts; nothing where somebody cancels the operation."""
         context, tenant, map_id = self._context, lease.job.tenant, str(lease.job.payload["map_id"])
         try:
-            tested = self._tested(tenant, map_id, Progress(context.transactions, context.clock, lease))
+            progress = Progress(context.transactions, context.clock, lease)
+            tested, lost = self._tested(tenant, map_id, progress)
         except OperationCancelled:
             context.complete(lease, CANCELLED)
             return
         failpoint("recall.before_commit")
         now_ns = context.clock.wall_ns()
-        commit = RecallCommit(lease, context.policy, tested, now_ns)
+        commit = RecallCommit(lease, context.policy, tested, lost, now_ns)
         if context.transactions.write(commit).result():
             self._early.update(tenant, map_id)
 
-    def _tested(self, tenant: TenantId, map_id: str, progress: Progress) -> list[RecalledLoop]:
-        loops = loops_to_recall(self._context.transactions, self._context.policy, tenant, map_id, progress)
+    def _tested(self, tenant: TenantId, map_id: str, progress: Progress) -> tuple[list[RecalledLoop], list[int]]:
+        """The loops with their verdicts; and the numbers of those that anchors chose and no longer do."""
+        transactions, policy = self._context.transactions, self._context.policy
+        progress("READ_LOOPS")
+        by_anchors = loops_by_anchors(transactions, policy, tenant, map_id, _was_tested)
+        loops = loops_to_recall(transactions, policy, tenant, map_id, progress, by_anchors.chosen)
         tested = []
         for done, loop in enumerate(loops):
             progress("VERIFY_LOOPS", done, len(loops))
             tested.append(self._recalled(loop))
-        return tested
+        return tested, by_anchors.lost
 
     def _recalled(self, loop: RecalledLoop) -> RecalledLoop:
         config, match = self._context.policy.for_map(loop.map), RecalledPlace(loop.match, loop.record.similarity)
-        initial = InitialPose(loop.T_match_query, Authority.COMPETES)
+        chosen = loop.ruled_out is not None
+        initial = InitialPose(loop.T_match_query, Authority.DECIDES if chosen else Authority.COMPETES)
         verdict = self._comparison.verify(loop.query, match, config, initial)
-        return replace(loop, verdict=accept_near(verdict, loop.T_match_query, loop.map.scene_scale))
+        reach_m = most_moved_m(config.verification) if chosen else MOST_MOVED_M * loop.map.scene_scale
+        return replace(loop, verdict=accept_near(verdict, loop.T_match_query, reach_m))
 
 
 def loops_to_recall(
-    transactions: Transactions, policy: Policy, tenant: TenantId, map_id: str, progress: Progress
+    transactions: Transactions,
+    policy: Policy,
+    tenant: TenantId,
+    map_id: str,
+    progress: Progress,
+    by_anchors: Sequence[ChosenLoop] = (),
 ) -> list[RecalledLoop]:
     """The loops of a map that its version in force gives another chance, the most similar first.
 
-    Read page by page, so that a large map holds up nobody.
+    Those beside faults of odometry and those that anchors choose come first. Read page by page, so that a large map
+    holds up nobody.
     """
+    chosen = transactions.read(partial(_chosen, tenant=tenant, map_id=map_id, by_anchors=by_anchors)).result()
     steps = MendedSteps()
     page = partial(_beside_faults, policy=policy, tenant=tenant, map_id=map_id, steps=steps)
     beside = _found(transactions, page, progress)
     near = _found(transactions, partial(_page, policy=policy, tenant=tenant, map_id=map_id), progress)
     best = [
         *islice(beside, 2 * MOST_RECALLED),
+        *chosen,
         *heapq.nsmallest(
             2 * MOST_RECALLED, near, key=lambda one: (-one.record.similarity, -one.record.score, one.record.number)
         ),
     ]
     return transactions.read(partial(_undecided, tenant=tenant, best=best)).result()[:MOST_RECALLED]
+
+
+def _chosen(uow: UnitOfWork, tenant: TenantId, map_id: str, by_anchors: Sequence[ChosenLoop]) -> list[_Found]:
+    """The first of the loops that anchors choose."""
+    record, some = uow.maps.get(tenant, map_id), by_anchors[: 2 * MOST_RECALLED]
+    loops = uow.loops.numbered(tenant, [one.number for one in some])
+    found = ((one, loops.get(one.number)) for one in some)
+    return [
+        _Found(record, loop, one.T_match_query, one.ruled_out)
+        for one, loop in found
+        if record is not None and loop is not None
+    ]
 
 
 def _found(transactions: Transactions, page: Callable[..., _Page], progress: Progress) -> Iterator[_Found]:
@@ -223,11 +272,19 @@ def _undecided(uow: UnitOfWork, tenant: TenantId, best: list[_Found]) -> list[Re
             submaps[one.record.query_number],
             submaps[one.record.match_number],
             one.T_match_query,
+            one.ruled_out,
         )
         for one in best
         if {one.record.query_number, one.record.match_number} <= submaps.keys()
         and not decided_by_person(uow, one.record)
     ]
+
+
+def _support(one: RecalledLoop) -> Evidence:
+    """The evidence that anchors chose the pose of a loop; none where the map told it."""
+    if one.ruled_out is None:
+        return {}
+    return {"support": support_evidence(Support(0, 0, 0.0, one.ruled_out, on_earth=True))}
 
 
 def _as_read(loop: LoopRecord) -> tuple[int, LoopStanding, Any]:
@@ -242,10 +299,11 @@ class RecallCommit:
     lease: Lease
     policy: Policy
     tested: list[RecalledLoop]
+    lost: list[int]
     now_ns: int
 
     def __call__(self, uow: UnitOfWork) -> int:
-        """Store the result of each loop that is still as it was read; the number of accepted ones.
+        """Store the result of each loop that is still as it was read; how many are accepted since, or no longer.
 
         Raises StaleLease where another worker holds the job.
         """
@@ -253,11 +311,37 @@ class RecallCommit:
         uow.maps.get(job.tenant, str(job.payload["map_id"]), hold=True)
         uow.queue.require(self.lease)
         accepted = sum(self._store(uow, one) for one in self.tested)
-        if accepted:
+        lost = sum(self._withdraw(uow, number) for number in self.lost)
+        if accepted or lost:
             optimise_soon(uow, job.tenant, str(job.payload["map_id"]), self.policy, self.now_ns)
-        result = {"tested": len(self.tested), "accepted": accepted}
+        result = {"tested": len(self.tested), "accepted": accepted, **({"withdrawn": lost} if lost else {})}
         uow.queue.complete(self.lease, result)
-        return accepted
+        return accepted + lost
+
+    def _withdraw(self, uow: UnitOfWork, number: int) -> bool:
+        """Doubt a loop that anchors chose and do no longer; whether it was accepted until now."""
+        tenant = self.lease.job.tenant
+        loop = uow.loops.numbered(tenant, [number]).get(number)
+        if loop is None or loop.state != LoopState.ACCEPTED or not is_by_anchors(loop) or decided_by_person(uow, loop):
+            return False
+        ends = uow.submaps.numbered(tenant, [loop.query_number, loop.match_number])
+        if len(ends) < 2:
+            return False
+        claim = unsupported(claim_of_row(loop, ends[loop.query_number], ends[loop.match_number]), _LOST)
+        rules = self.policy.for_map(require_map(uow, TenantId(tenant), loop.map_id)).verification
+        evidence = {name: value for name, value in loop.evidence.items() if name != RECALL}
+        note_edit(uow, TenantId(tenant), loop.map_id)  # what was corrected by it is taken back
+        change = Change(LoopEventKind.VERIFIED, self.now_ns, note=_LOST)
+        change_loop(
+            uow,
+            loop,
+            change,
+            state=loop_state(claim).value,
+            reason=None if claim.reason is None else claim.reason.value,
+            evidence=revised_evidence(evidence, claim, rules),
+            graph_state=None,
+        )
+        return True
 
     def _store(self, uow: UnitOfWork, one: RecalledLoop) -> bool:
         """Accept a loop, or note that it was tested; whether it was accepted."""
@@ -270,7 +354,12 @@ class RecallCommit:
         fields: dict[str, Any] = {"evidence": evidence}
         if isinstance(verdict, VerifiedLoop):
             fields = {
-                "evidence": {**unjudged(evidence), **found, "model_version": one.query.model_version},
+                "evidence": {
+                    **unjudged(evidence),
+                    **found,
+                    **_support(one),
+                    "model_version": one.query.model_version,
+                },
                 "state": LoopState.ACCEPTED.value,
                 "reason": None,
                 "score": float(verdict.measurement.score),
@@ -292,7 +381,7 @@ class RecallCommit:
             LoopEventKind.VERIFIED,
             self.now_ns,
             actor=f"map version {one.map.map_version}",
-            note=f"tested again from where the map has the two submaps, after {one.record.reason}",
+            note=f"tested again from {_FROM[one.ruled_out is not None]}, after {one.record.reason}",
             map_version=one.map.map_version,
             details={
                 "model_version": one.query.model_version,

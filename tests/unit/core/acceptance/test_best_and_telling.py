@@ -43,8 +43,8 @@ def test_loops_ambiguous_claims_and_low_scores_tell_of_their_drive(claim, tells)
 def test_a_pair_passes_near_the_pose_of_its_map_alone(scale):
     said = along_x(10.0)
     near, far = (along_x(10.0 + share * MOST_MOVED_M * scale) for share in (0.9, 1.1))
-    assert isinstance(accept_near(verified(near), said, scale), VerifiedLoop)
-    refused = accept_near(verified(far), said, scale)
+    assert isinstance(accept_near(verified(near), said, MOST_MOVED_M * scale), VerifiedLoop)
+    refused = accept_near(verified(far), said, MOST_MOVED_M * scale)
     assert isinstance(refused, RejectedLoop) and refused.reason is RejectionReason.FAR_FROM_MAP
     no = rejected()
-    assert accept_near(no, said, scale) is no
+    assert accept_near(no, said, MOST_MOVED_M * scale) is no

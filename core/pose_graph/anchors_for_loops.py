@@ -1,0 +1,162 @@
+"""Loops that anchors decide: of the poses that fit a pair of submaps equally, one lies where anchors put the two.
+
+Where a place repeats, geometry cannot tell by how many periods a pose is off; anchors whose errors are smaller than a
+period can (docs/decisions/0362). They choose among poses that geometry found, and add none.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from revisit.core.geometry import se3
+from revisit.core.pose_graph.anchored_drive import LEAST_SHARE, AnchoredDrive, Fix, anchored_drives
+from revisit.core.pose_graph.anchors import Anchor
+from revisit.core.pose_graph.graph import Node
+
+Array64 = NDArray[np.float64]
+
+OWN_ERROR_M = 0.5
+"""A pose may lie so far from where anchors put it without any error of theirs: odometry on the way to them, and its own
+error.
+"""
+
+SIGMAS = 3.0
+"""So many standard deviations of both places a pose may lie off; one that does not is not chosen, and others that could
+be must lie twice as far away.
+"""
+
+ALONE_M = 1.5
+"""Where a pair has one pose alone, doubted by others, anchors must be as sure: places that repeat lie farther apart."""
+
+SAME_TURN_RAD = np.radians(15.0)
+"""Poses that repeat are turned by a quarter, or not at all."""
+
+LEAST_AGREEING = 3
+"""Submaps of a drive beside another, for each of which anchors choose a pose: one or two may be a chance."""
+
+NEAR_M = 10.0
+"""Submaps that anchors put so near to each other see the same, so that the true pose should be among those that fit."""
+
+
+@dataclass(frozen=True)
+class OpenPair:
+    """A pair of submaps, and the poses T_match_query (4, 4) that fit it, of which at most one is true."""
+
+    name: str
+    match: Node
+    query: Node
+    poses: tuple[se3.Matrix4, ...]
+
+
+class AnchorsForLoops:
+    """The drives of a map with their anchors, asked for pairs between them."""
+
+    def __init__(self, T_odom_submap: Mapping[str, Array64], anchors: Sequence[Anchor]) -> None:
+        """T_odom_submap (n, 4, 4): the drive of each session. Drives whose anchors contradict them are left out."""
+        drives = anchored_drives(T_odom_submap, anchors)
+        self._drives = {name: drive for name, drive in drives.items() if drive.fits}
+        self._fixes: dict[Node, Fix | None] = {}
+
+    def apart_m(self, match: Node, query: Node) -> float | None:
+        """How far apart anchors put two submaps, metres; None where they do not say."""
+        between = self._between(match, query)
+        return None if between is None else float(np.hypot(*between.place))
+
+    def chosen(self, pairs: Iterable[OpenPair]) -> dict[str, int]:
+        """The row of the pose that anchors choose, by name of the pairs for which they do.
+
+        Between two drives they must choose one for LEAST_AGREEING submaps, and nearly always find one that fits where
+        they put two submaps side by side: else they are wrong together, as by a base station in the wrong place.
+        """
+        asked = [(pair, between) for pair in pairs if (between := self._between(pair.match, pair.query)) is not None]
+        near: dict[frozenset[str], list[tuple[OpenPair, bool]]] = {}
+        for pair, between in asked:
+            if np.hypot(*between.place) <= NEAR_M:
+                of_drives = frozenset((pair.match.session, pair.query.session))
+                near.setdefault(of_drives, []).append((pair, bool(between.agreeing(pair.poses))))
+        trusted = {of_drives for of_drives, found in near.items() if _agree(found)}
+        rows = {
+            pair.name: between.only(pair.poses)
+            for pair, between in asked
+            if frozenset((pair.match.session, pair.query.session)) in trusted
+        }
+        return {name: row for name, row in rows.items() if row is not None}
+
+    def agree(self, match: Node, query: Node, T_match_query: se3.Matrix4) -> bool:
+        """Whether anchors put a query there."""
+        between = self._between(match, query)
+        return between is not None and bool(between.agreeing((T_match_query,)))
+
+    def _between(self, match: Node, query: Node) -> _Between | None:
+        first, second = self._fix(match), self._fix(query)
+        return None if first is None or second is None else _Between.of(first, second)
+
+    def _fix(self, node: Node) -> Fix | None:
+        if node not in self._fixes:
+            drive: AnchoredDrive | None = self._drives.get(node.session)
+            self._fixes[node] = None if drive is None else drive.fix(node.ordinal)
+        return self._fixes[node]
+
+
+@dataclass(frozen=True)
+class _Between:
+    """A query as anchors put it to a match on the ground: place (2,) in the frame of the match, turn in radians, and by
+    how much a pose may differ.
+    """
+
+    place: Array64
+    turn_rad: float
+    allowed_m: float
+    allowed_rad: float
+
+    @classmethod
+    def of(cls, match: Fix, query: Fix) -> _Between:
+        east, north = query.place - match.place
+        ahead = complex(east, north) * np.exp(-1j * match.heading_rad)
+        sigma_m = float(np.hypot(np.hypot(match.sigma_m, query.sigma_m), match.sigma_rad * abs(ahead)))
+        return cls(
+            np.array([ahead.real, ahead.imag]),
+            query.heading_rad - match.heading_rad,
+            OWN_ERROR_M + SIGMAS * sigma_m,
+            SAME_TURN_RAD + SIGMAS * float(np.hypot(match.sigma_rad, query.sigma_rad)),
+        )
+
+    def agreeing(self, poses: Sequence[se3.Matrix4]) -> list[int]:
+        """The rows of the poses that lie there."""
+        return [row for row, pose in enumerate(poses) if self._is_there(pose)]
+
+    def only(self, poses: Sequence[se3.Matrix4]) -> int | None:
+        """The row of the one pose that lies there, where no two could: these all lie farther apart than anchors err."""
+        rows = self.agreeing(poses)
+        surely = self.allowed_m <= ALONE_M if len(poses) == 1 else self._tells_apart(poses)
+        return rows[0] if len(rows) == 1 and surely else None
+
+    def _is_there(self, pose: se3.Matrix4) -> bool:
+        off_m = float(np.hypot(*(pose[:2, 3] - self.place)))
+        return off_m <= self.allowed_m and _turned(_heading(pose) - self.turn_rad) <= self.allowed_rad
+
+    def _tells_apart(self, poses: Sequence[se3.Matrix4]) -> bool:
+        return all(
+            np.hypot(*(one[:2, 3] - other[:2, 3])) > 2.0 * self.allowed_m
+            or _turned(_heading(one) - _heading(other)) > 2.0 * self.allowed_rad
+            for one, other in combinations(poses, 2)
+        )
+
+
+def _agree(found: Sequence[tuple[OpenPair, bool]]) -> bool:
+    """Whether anchors find a pose that fits for enough submaps of a drive, and for nearly all."""
+    share = np.mean([fits for _, fits in found])
+    return len({pair.query for pair, fits in found if fits}) >= LEAST_AGREEING and bool(share >= LEAST_SHARE)
+
+
+def _heading(T: se3.Matrix4) -> float:
+    return float(np.arctan2(T[1, 0], T[0, 0]))
+
+
+def _turned(angle_rad: float) -> float:
+    return abs(float(np.angle(np.exp(1j * angle_rad))))

@@ -1,0 +1,117 @@
+"""Anchors choose among the poses of a pair where places repeat; receivers that err choose none."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from revisit.core.geometry import se3
+from revisit.core.pose_graph.anchors import Anchor
+from revisit.core.pose_graph.anchors_for_loops import AnchorsForLoops, OpenPair
+from revisit.core.pose_graph.graph import Node
+
+STEP_M, SUBMAPS, PERIOD_M = 5.0, 30, 6.0
+T_A_B = se3.from_yaw(0.4, (3.0, 1.0, 0.0))
+"""The odometry frame of drive b lies so in that of drive a, which is the world's, turned by half a radian."""
+T_WORLD_A = se3.from_yaw(0.5, (100.0, 50.0, 0.0))
+
+
+def drive(T_a_odom=None):
+    """A drive 1 m beside the x axis of drive a, in its own odometry frame (n, 4, 4)."""
+    aside = 0.0 if T_a_odom is None else 1.0
+    T_a_submap = [se3.from_yaw(0.0, (STEP_M * n, aside, 0.0)) for n in range(SUBMAPS)]
+    return np.stack(T_a_submap if T_a_odom is None else [se3.inverse(T_a_odom) @ T for T in T_a_submap])
+
+
+DRIVES = {"a": drive(), "b": drive(T_A_B)}
+
+
+def fixes(session, sigma_m, shift=(0.0, 0.0, 0.0), ordinals=range(SUBMAPS), seed=3):
+    random = np.random.default_rng(seed)
+    T_world_odom = T_WORLD_A if session == "a" else T_WORLD_A @ T_A_B
+    found = []
+    for n in ordinals:
+        place = (
+            (T_world_odom @ DRIVES[session][n])[:3, 3] + np.array(shift) + np.append(random.normal(0, sigma_m, 2), 7)
+        )
+        covariance = np.diag([sigma_m**2, sigma_m**2, 9.0])
+        found.append(Anchor(f"{session}:{n}", Node(session, n), np.zeros(3), place, covariance))
+    return found
+
+
+def pairs(shifts=(0, 1, -1), period_m=PERIOD_M, ordinals=range(0, SUBMAPS, 3), ahead=0):
+    """Pairs of which the first pose is true, unless `shifts` says otherwise; the others are off by periods."""
+    found = []
+    for n in ordinals:
+        T_a_query = T_A_B @ DRIVES["b"][n]
+        match = min(n + ahead, SUBMAPS - 1)
+        true = se3.inverse(DRIVES["a"][match]) @ T_a_query
+        poses = tuple(se3.from_yaw(0.0, (period_m * k, 0.0, 0.0)) @ true for k in shifts)
+        found.append(OpenPair(f"{n}", Node("a", match), Node("b", n), poses))
+    return found
+
+
+def chosen(anchors, some=None):
+    return AnchorsForLoops(DRIVES, anchors).chosen(pairs() if some is None else some)
+
+
+@pytest.mark.parametrize("shifts", [(0, 1, -1), (2, 1, 0), (-1, 0, 1)])
+def test_fixes_of_centimetres_choose_the_true_pose_of_a_lattice_of_six_metres(shifts):
+    found = chosen([*fixes("a", 0.03), *fixes("b", 0.03)], pairs(shifts))
+    assert found == {f"{n}": shifts.index(0) for n in range(0, SUBMAPS, 3)}
+
+
+def test_fixes_of_two_metres_choose_none_there_but_among_houses_forty_metres_apart():
+    anchors = [*fixes("a", 2.0), *fixes("b", 2.0, seed=4)]
+    assert chosen(anchors) == {}
+    found = chosen(anchors, pairs(period_m=40.0))
+    assert len(found) >= 8 and set(found.values()) == {0}
+
+
+def test_a_true_pose_that_no_hypothesis_has_lets_none_be_chosen():
+    assert chosen([*fixes("a", 0.03), *fixes("b", 0.03)], pairs((1, 2, -1))) == {}
+
+
+@pytest.mark.parametrize("shift", [(3.0, 0.0, 0.0), (0.0, 2.5, 0.0)])
+def test_a_base_station_in_the_wrong_place_chooses_none(shift):
+    assert chosen([*fixes("a", 0.03), *fixes("b", 0.03, shift)]) == {}
+
+
+def test_one_pose_alone_is_chosen_by_fixes_of_centimetres_only():
+    some = pairs((0,))
+    assert len(chosen([*fixes("a", 0.03), *fixes("b", 0.03)], some)) == len(some)
+    assert chosen([*fixes("a", 1.0), *fixes("b", 1.0)], some) == {}
+
+
+def test_pairs_far_apart_on_earth_are_no_evidence_and_are_not_chosen():
+    """Twins 50 m along the drive fit as well; the right pairs are chosen all the same."""
+    right = pairs(ordinals=range(0, 18, 3))
+    twins = [OpenPair(f"twin{one.name}", Node("a", one.match.ordinal + 10), one.query, one.poses) for one in right]
+    found = chosen([*fixes("a", 0.03), *fixes("b", 0.03)], [*right, *twins])
+    assert found == {one.name: 0 for one in right}
+
+
+@pytest.mark.parametrize("ordinals", [[], [3], [3, 4], range(9, 11)])
+def test_too_few_anchors_choose_none(ordinals):
+    assert chosen([*fixes("a", 0.03), *fixes("b", 0.03, ordinals=ordinals)]) == {}
+
+
+def test_two_submaps_are_too_few():
+    assert chosen([*fixes("a", 0.03), *fixes("b", 0.03)], pairs(ordinals=(3, 9))) == {}
+
+
+def test_reflections_of_a_fifth_of_the_fixes_choose_nothing_wrong():
+    wrong = [
+        Anchor(one.name, one.node, one.point_submap, one.place_world + (PERIOD_M, 0.0, 0.0), one.covariance)
+        if one.node.ordinal % 5 == 0
+        else one
+        for one in fixes("b", 0.03)
+    ]
+    assert set(chosen([*fixes("a", 0.03), *wrong]).values()) <= {0}
+
+
+def test_anchors_agree_with_a_pose_where_they_put_it():
+    asked = AnchorsForLoops(DRIVES, [*fixes("a", 0.03), *fixes("b", 0.03)])
+    for one in pairs():
+        assert [asked.agree(one.match, one.query, pose) for pose in one.poses] == [True, False, False]
+    assert not AnchorsForLoops(DRIVES, fixes("a", 0.03)).agree(Node("a", 3), Node("b", 3), np.eye(4))
