@@ -39,20 +39,25 @@ beyond what is stated. Where not, a clock is wrong, or reflections are many: suc
 STRETCHES, FITTINGS = 50, 3
 """Places of a drive, at most, beside which it is looked at; and how often the best of the anchors are chosen."""
 
+MOST_BESIDE = 12
+"""So many anchors nearest to a submap tell where it is: over a shorter way odometry bends less."""
+
 LEAST_SPREAD_M = 10.0
 """The anchors beside a submap tell its heading where they lie so far, root mean square, from their middle."""
 
 
 @dataclass(frozen=True)
 class Fix:
-    """A submap on the ground by the anchors beside it: place (2,) in the world and the angle there of the x axis of its
-    frame, counter-clockwise from x, radians; with a standard deviation each that no number of anchors makes smaller,
-    because those of a receiver err together.
+    """A submap by the anchors beside it: place (2,) on the ground of the world, height, and the angle there of the x
+    axis of its frame, counter-clockwise from x, radians; with a standard deviation each that no number of anchors makes
+    smaller, because those of a receiver err together.
     """
 
     place: Array64
+    height_m: float
     heading_rad: float
     sigma_m: float
+    sigma_up_m: float
     sigma_rad: float
 
 
@@ -76,7 +81,7 @@ class AnchoredDrive:
     """A drive with its anchors in the order in which it passes them.
 
     T_odom_submap (n, 4, 4); along_m (n,) of its submaps. Of the anchors: anchor_along_m (k,), points_odom (k, 3),
-    places (k, 2) across the ground and sigmas_m (k,).
+    places (k, 2) across the ground and sigmas_m (k,), heights_m (k,) and sigmas_up_m (k,).
     """
 
     T_odom_submap: Array64
@@ -85,6 +90,8 @@ class AnchoredDrive:
     points_odom: Array64
     places: Array64
     sigmas_m: Array64
+    heights_m: Array64
+    sigmas_up_m: Array64
 
     @classmethod
     def of(cls, T_odom_submap: Array64, anchors: Sequence[Anchor]) -> AnchoredDrive:
@@ -103,6 +110,8 @@ class AnchoredDrive:
             (ahead + T[:, :3, 3])[order],
             np.array([one.place_world[:2] for one in anchors])[order],
             np.sqrt(variances)[order],
+            np.array([one.place_world[2] for one in anchors])[order],
+            np.sqrt([one.covariance[2, 2] for one in anchors])[order],
         )
 
     def beside(self, ordinal: int) -> tuple[Array64, Array64, Array64]:
@@ -130,6 +139,7 @@ class AnchoredDrive:
         rows = self._rows(self.along_m[ordinal], BESIDE_M)
         if len(rows) < LEAST_BESIDE:
             return None
+        rows = rows[np.argsort(np.abs(self.anchor_along_m[rows] - self.along_m[ordinal]), kind="stable")[:MOST_BESIDE]]
         fitted = self._fitted(rows)
         if fitted.spread_m < LEAST_SPREAD_M:
             return None
@@ -139,9 +149,26 @@ class AnchoredDrive:
         way = complex(T_odom_submap[:2, 3] @ (1.0, 1.0j)) - fitted.driven
         place = fitted.told + way * np.exp(1j * fitted.turn)
         heading = fitted.turn + float(np.arctan2(T_odom_submap[1, 0], T_odom_submap[0, 0]))
+        rise_m, unsure_m = self._rise_m(ordinal, rows[fitted.best])
         return Fix(
-            np.array([place.real, place.imag]), heading, float(np.hypot(apart_m, turn_sigma * abs(way))), turn_sigma
+            np.array([place.real, place.imag]),
+            float(T_odom_submap[2, 3] + rise_m),
+            heading,
+            float(np.hypot(apart_m, turn_sigma * abs(way))),
+            float(np.hypot(np.median(self.sigmas_up_m[rows]), unsure_m)),
+            turn_sigma,
         )
+
+    def _rise_m(self, ordinal: int, rows: NDArray[np.int64]) -> tuple[float, float]:
+        """How far above its odometry some anchors put a submap, and the root mean square of what they differ by.
+
+        The heights of odometry drift along the way: evenly, as far as the anchors lie.
+        """
+        along_m = self.anchor_along_m[rows] - self.along_m[ordinal]
+        rises_m = self.heights_m[rows] - self.points_odom[rows, 2]
+        evenly = np.stack([np.ones(len(rows)), along_m], axis=1)
+        found, *_ = np.linalg.lstsq(evenly, rises_m, rcond=None)
+        return float(found[0]), float(np.sqrt(np.mean((rises_m - evenly @ found) ** 2)))
 
     def _is_as_driven(self, rows: NDArray[np.int64]) -> bool:
         """Whether most of some anchors lie where the odometry has them, moved and turned on the ground as fits best."""

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from revisit.core.geometry import se3
-from revisit.core.pose_graph.anchored_drive import LEAST_SHARE, AnchoredDrive, Fix, anchored_drives
+from revisit.core.pose_graph.anchored_drive import AnchoredDrive, Fix, anchored_drives
 from revisit.core.pose_graph.anchors import Anchor
 from revisit.core.pose_graph.graph import Node
 
@@ -30,14 +30,19 @@ SIGMAS = 3.0
 be must lie twice as far away.
 """
 
-ALONE_M = 1.5
-"""Where a pair has one pose alone, doubted by others, anchors must be as sure: places that repeat lie farther apart."""
+SURE_M = 1.5
+"""Anchors must be as sure of heights, because storeys and decks are as like as rows are; and of the place on the ground
+where a pair has one pose alone, doubted by others. Places that repeat lie farther apart.
+"""
 
 SAME_TURN_RAD = np.radians(15.0)
 """Poses that repeat are turned by a quarter, or not at all."""
 
-LEAST_AGREEING = 3
-"""Submaps of a drive beside another, for each of which anchors choose a pose: one or two may be a chance."""
+LEAST_AGREEING, LEAST_FITTING, MOST_AGAINST = 3, 1 / 3, 0.2
+"""Anchors of two drives are trusted where a pose fits for so many submaps, and for such a share of the pairs that they
+put side by side: anchors that are wrong together find one by chance alone. And where they contradict no more than such
+a share of the accepted loops.
+"""
 
 NEAR_M = 10.0
 """Submaps that anchors put so near to each other see the same, so that the true pose should be among those that fit."""
@@ -45,12 +50,20 @@ NEAR_M = 10.0
 
 @dataclass(frozen=True)
 class OpenPair:
-    """A pair of submaps, and the poses T_match_query (4, 4) that fit it, of which at most one is true."""
+    """A pair of submaps, and the poses T_match_query (4, 4) that fit it, of which at most one is true; of an `accepted`
+    loop its own.
+    """
 
     name: str
     match: Node
     query: Node
     poses: tuple[se3.Matrix4, ...]
+    accepted: bool = False
+
+    @property
+    def drives(self) -> frozenset[str]:
+        """The sessions of its submaps."""
+        return frozenset((self.match.session, self.query.session))
 
 
 class AnchorsForLoops:
@@ -68,22 +81,20 @@ class AnchorsForLoops:
         return None if between is None else float(np.hypot(*between.place))
 
     def chosen(self, pairs: Iterable[OpenPair]) -> dict[str, int]:
-        """The row of the pose that anchors choose, by name of the pairs for which they do.
+        """The row of the pose that anchors choose, by name of the pairs for which they do; of none that is accepted.
 
-        Between two drives they must choose one for LEAST_AGREEING submaps, and nearly always find one that fits where
-        they put two submaps side by side: else they are wrong together, as by a base station in the wrong place.
+        They choose between two drives alone whose anchors are trusted together: see LEAST_AGREEING.
         """
         asked = [(pair, between) for pair in pairs if (between := self._between(pair.match, pair.query)) is not None]
-        near: dict[frozenset[str], list[tuple[OpenPair, bool]]] = {}
+        telling: dict[frozenset[str], list[tuple[OpenPair, bool]]] = {}
         for pair, between in asked:
-            if np.hypot(*between.place) <= NEAR_M:
-                of_drives = frozenset((pair.match.session, pair.query.session))
-                near.setdefault(of_drives, []).append((pair, bool(between.agreeing(pair.poses))))
-        trusted = {of_drives for of_drives, found in near.items() if _agree(found)}
+            if pair.accepted or np.hypot(*between.place) <= NEAR_M:
+                telling.setdefault(pair.drives, []).append((pair, bool(between.agreeing(pair.poses))))
+        trusted = {drives for drives, found in telling.items() if _agree(found)}
         rows = {
             pair.name: between.only(pair.poses)
             for pair, between in asked
-            if frozenset((pair.match.session, pair.query.session)) in trusted
+            if pair.drives in trusted and not pair.accepted
         }
         return {name: row for name, row in rows.items() if row is not None}
 
@@ -105,13 +116,15 @@ class AnchorsForLoops:
 
 @dataclass(frozen=True)
 class _Between:
-    """A query as anchors put it to a match on the ground: place (2,) in the frame of the match, turn in radians, and by
-    how much a pose may differ.
+    """A query as anchors put it to a match: place (2,) on the ground in the frame of the match, rise, turn in radians;
+    and by how much a pose may differ.
     """
 
     place: Array64
+    rise_m: float
     turn_rad: float
     allowed_m: float
+    allowed_rise_m: float
     allowed_rad: float
 
     @classmethod
@@ -121,8 +134,10 @@ class _Between:
         sigma_m = float(np.hypot(np.hypot(match.sigma_m, query.sigma_m), match.sigma_rad * abs(ahead)))
         return cls(
             np.array([ahead.real, ahead.imag]),
+            query.height_m - match.height_m,
             query.heading_rad - match.heading_rad,
             OWN_ERROR_M + SIGMAS * sigma_m,
+            OWN_ERROR_M + SIGMAS * float(np.hypot(match.sigma_up_m, query.sigma_up_m)),
             SAME_TURN_RAD + SIGMAS * float(np.hypot(match.sigma_rad, query.sigma_rad)),
         )
 
@@ -133,12 +148,14 @@ class _Between:
     def only(self, poses: Sequence[se3.Matrix4]) -> int | None:
         """The row of the one pose that lies there, where no two could: these all lie farther apart than anchors err."""
         rows = self.agreeing(poses)
-        surely = self.allowed_m <= ALONE_M if len(poses) == 1 else self._tells_apart(poses)
-        return rows[0] if len(rows) == 1 and surely else None
+        tells_apart = self.allowed_m <= SURE_M if len(poses) == 1 else self._tells_apart(poses)
+        return rows[0] if len(rows) == 1 and tells_apart and self.allowed_rise_m <= SURE_M else None
 
     def _is_there(self, pose: se3.Matrix4) -> bool:
         off_m = float(np.hypot(*(pose[:2, 3] - self.place)))
-        return off_m <= self.allowed_m and _turned(_heading(pose) - self.turn_rad) <= self.allowed_rad
+        risen_m = abs(float(pose[2, 3]) - self.rise_m)
+        turned = _turned(_heading(pose) - self.turn_rad)
+        return off_m <= self.allowed_m and risen_m <= self.allowed_rise_m and turned <= self.allowed_rad
 
     def _tells_apart(self, poses: Sequence[se3.Matrix4]) -> bool:
         return all(
@@ -149,9 +166,11 @@ class _Between:
 
 
 def _agree(found: Sequence[tuple[OpenPair, bool]]) -> bool:
-    """Whether anchors find a pose that fits for enough submaps of a drive, and for nearly all."""
-    share = np.mean([fits for _, fits in found])
-    return len({pair.query for pair, fits in found if fits}) >= LEAST_AGREEING and bool(share >= LEAST_SHARE)
+    """Whether a pose fits for enough submaps of two drives, and hardly any accepted loop is contradicted."""
+    against = [not fits for pair, fits in found if pair.accepted]
+    share = float(np.mean([fits for _, fits in found]))
+    enough = len({pair.query for pair, fits in found if fits}) >= LEAST_AGREEING and share >= LEAST_FITTING
+    return enough and (not against or float(np.mean(against)) <= MOST_AGAINST)
 
 
 def _heading(T: se3.Matrix4) -> float:

@@ -17,7 +17,7 @@ from tests.support.fleet_in_service import fleet_in
 from tests.support.made_up_anchors import new_anchors, with_stamps
 from tests.support.service_world import TENANT, memory_world
 
-PERIOD_M = 4.0
+PERIOD_M = 6.0
 
 
 class Lattice(Geometry):
@@ -112,7 +112,7 @@ async def test_loops_are_ambiguous_again_once_the_anchors_are_gone_and_return_wi
 
 
 @pytest.mark.parametrize(
-    ("sigma_m", "shift_m"), [(1.5, 0.0), (0.02, 2.0)], ids=["fixes of metres", "a base station 2 m off"]
+    ("sigma_m", "shift_m"), [(1.5, 0.0), (0.02, 3.0)], ids=["fixes of metres", "a base station 3 m off"]
 )
 async def test_anchors_that_err_by_half_a_period_choose_none(town, sigma_m, shift_m):
     geometry = await town.anchored(sigma_m, shift_m)

@@ -163,9 +163,11 @@ class AnchoredSubmaps:
         nodes = _nodes(graph)
         return cls(nodes, AnchorsForLoops(_drives(graph), _anchors(nodes, fixed)))
 
-    def pair(self, number: int, match: int, query: int, poses: tuple[Matrix4, ...]) -> OpenPair:
+    def pair(
+        self, number: int, match: int, query: int, poses: tuple[Matrix4, ...], *, accepted: bool = False
+    ) -> OpenPair:
         """The pair of loop `number` between two submaps, and the poses T_match_query (4, 4) that fit it."""
-        return OpenPair(str(number), self.nodes[match], self.nodes[query], poses)
+        return OpenPair(str(number), self.nodes[match], self.nodes[query], poses, accepted)
 
     def is_within(self, match: int, query: int, reach_m: float) -> bool:
         """Whether anchors put two submaps so near to each other."""

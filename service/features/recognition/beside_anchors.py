@@ -62,7 +62,9 @@ def loops_by_anchors(
         return ByAnchors()
     submaps = AnchoredSubmaps.of(task.graph, task.graph.fixed)
     lost = list(_lost(transactions, tenant, task, submaps))
-    accepted = [submaps.pair(one.number, one.match, one.query, (one.T_match_query,)) for one in task.graph.loops]
+    accepted = [
+        submaps.pair(one.number, one.match, one.query, (one.T_match_query,), accepted=True) for one in task.graph.loops
+    ]
     ambiguous = list(_ambiguous(transactions, tenant, map_id, submaps, is_tested)) if task.graph.fixed else []
     rows = submaps.asked.chosen([*accepted, *(one.pair for one in ambiguous)])
     found = [

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -26,7 +28,7 @@ def drive(T_a_odom=None):
 DRIVES = {"a": drive(), "b": drive(T_A_B)}
 
 
-def fixes(session, sigma_m, shift=(0.0, 0.0, 0.0), ordinals=range(SUBMAPS), seed=3):
+def fixes(session, sigma_m, shift=(0.0, 0.0, 0.0), ordinals=range(SUBMAPS), seed=3, sigma_up_m=0.1):
     random = np.random.default_rng(seed)
     T_world_odom = T_WORLD_A if session == "a" else T_WORLD_A @ T_A_B
     found = []
@@ -34,7 +36,7 @@ def fixes(session, sigma_m, shift=(0.0, 0.0, 0.0), ordinals=range(SUBMAPS), seed
         place = (
             (T_world_odom @ DRIVES[session][n])[:3, 3] + np.array(shift) + np.append(random.normal(0, sigma_m, 2), 7)
         )
-        covariance = np.diag([sigma_m**2, sigma_m**2, 9.0])
+        covariance = np.diag([sigma_m**2, sigma_m**2, sigma_up_m**2])
         found.append(Anchor(f"{session}:{n}", Node(session, n), np.zeros(3), place, covariance))
     return found
 
@@ -72,9 +74,37 @@ def test_a_true_pose_that_no_hypothesis_has_lets_none_be_chosen():
     assert chosen([*fixes("a", 0.03), *fixes("b", 0.03)], pairs((1, 2, -1))) == {}
 
 
-@pytest.mark.parametrize("shift", [(3.0, 0.0, 0.0), (0.0, 2.5, 0.0)])
+@pytest.mark.parametrize(
+    "shift", [(3.0, 0.0, 0.0), (0.0, 2.5, 0.0), (0.0, 0.0, 3.2)], ids=["on", "aside", "a storey up"]
+)
 def test_a_base_station_in_the_wrong_place_chooses_none(shift):
     assert chosen([*fixes("a", 0.03), *fixes("b", 0.03, shift)]) == {}
+
+
+def test_nothing_is_chosen_where_heights_do_not_tell_storeys_apart():
+    assert chosen([*fixes("a", 0.03, sigma_up_m=1.0), *fixes("b", 0.03, sigma_up_m=1.0)]) == {}
+
+
+def test_a_third_of_the_pairs_with_a_pose_that_fits_is_enough_and_a_fifth_is_too_few():
+    anchors = [*fixes("a", 0.03), *fixes("b", 0.03)]
+
+    def some(share):
+        return [
+            one if n < share * 30 else replace(one, poses=one.poses[1:])
+            for n, one in enumerate(pairs(ordinals=range(30)))
+        ]
+
+    assert len(chosen(anchors, some(0.4))) == 12
+    assert chosen(anchors, some(0.2)) == {}
+
+
+def test_accepted_loops_that_anchors_contradict_let_them_choose_nothing():
+    right = pairs()
+    accepted = [replace(one, name=f"a{one.name}", poses=one.poses[:1], accepted=True) for one in right]
+    wrong = [replace(one, poses=(se3.from_yaw(0.0, (2.0, 0.0, 0.0)) @ one.poses[0],)) for one in accepted]
+    anchors = [*fixes("a", 0.03), *fixes("b", 0.03)]
+    assert len(chosen(anchors, [*right, *accepted])) == len(right)
+    assert chosen(anchors, [*right, *accepted[:6], *wrong[6:]]) == {}
 
 
 def test_one_pose_alone_is_chosen_by_fixes_of_centimetres_only():
