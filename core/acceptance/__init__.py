@@ -25,7 +25,7 @@ from revisit.core.acceptance.claim import (
     StationInMap,
     Support,
 )
-from revisit.core.acceptance.map_recall import MOST_MOVED_M, accept_near
+from revisit.core.acceptance.map_recall import MOST_MOVED_M, accept_chosen, accept_near
 from revisit.core.acceptance.prediction import PredictedPoses, verify_in_turn
 from revisit.core.acceptance.rules import (
     Decided,
@@ -36,11 +36,12 @@ from revisit.core.acceptance.rules import (
     stride_of_drive,
     submaps_asked,
 )
-from revisit.core.acceptance.support import VerifyNear, most_moved_m, unsupported
+from revisit.core.acceptance.support import VerifyNear, unsupported
 
 __all__ = [
     "MOST_MOVED_M", "TELLING", "Decided", "Distinctiveness", "Doubt", "Drive", "Grounds", "LoopClaim", "PredictedPoses",
-    "Station", "StationInMap", "Support", "VerifyNear", "accept", "accept_cloud", "accept_near", "best_loop",
-    "is_decided_by_way", "most_moved_m", "stride_of_drive", "submaps_asked", "unsupported", "verify_in_turn",
+    "Station", "StationInMap", "Support", "VerifyNear", "accept", "accept_chosen", "accept_cloud", "accept_near",
+    "best_loop",
+    "is_decided_by_way", "stride_of_drive", "submaps_asked", "unsupported", "verify_in_turn",
     "without_waiting",
 ]  # fmt: skip

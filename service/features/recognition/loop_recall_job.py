@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from revisit.core.acceptance import MOST_MOVED_M, Support, accept_near, most_moved_m, unsupported
+from revisit.core.acceptance import MOST_MOVED_M, Support, accept_chosen, accept_near, unsupported
 from revisit.core.geometry import se3
 from revisit.core.geometry.se3 import Matrix4, pose_matrix, pose_row
 from revisit.core.pair_verdict import Authority, InitialPose, PairVerdict, RejectedLoop, VerifiedLoop
@@ -143,8 +143,9 @@ class LoopRecallJob:
         chosen = loop.ruled_out is not None
         initial = InitialPose(loop.T_match_query, Authority.DECIDES if chosen else Authority.COMPETES)
         verdict = self._comparison.verify(loop.query, match, config, initial)
-        reach_m = most_moved_m(config.verification) if chosen else MOST_MOVED_M * loop.map.scene_scale
-        return replace(loop, verdict=accept_near(verdict, loop.T_match_query, reach_m))
+        if chosen:
+            return replace(loop, verdict=accept_chosen(verdict, loop.T_match_query, config.verification))
+        return replace(loop, verdict=accept_near(verdict, loop.T_match_query, MOST_MOVED_M * loop.map.scene_scale))
 
 
 def loops_to_recall(

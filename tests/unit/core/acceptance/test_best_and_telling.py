@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from revisit.core.acceptance import MOST_MOVED_M, Doubt, accept_near, best_loop
+from revisit.core.acceptance import MOST_MOVED_M, Doubt, accept_chosen, accept_near, best_loop
+from revisit.core.config import VerificationConfig
 from revisit.core.pair_verdict import RejectedLoop, RejectionReason, VerifiedLoop
 from tests.support.claims import along_x, at, doubted, pair
 from tests.support.verdicts import rejected, verified
@@ -48,3 +49,14 @@ def test_a_pair_passes_near_the_pose_of_its_map_alone(scale):
     assert isinstance(refused, RejectedLoop) and refused.reason is RejectionReason.FAR_FROM_MAP
     no = rejected()
     assert accept_near(no, said, MOST_MOVED_M * scale) is no
+
+
+def test_a_pair_that_anchors_chose_needs_no_score_and_passes_all_other_checks():
+    said, config = along_x(10.0), VerificationConfig()
+    low = rejected("LOW_SCORE", along_x(10.4))
+    assert isinstance(accept_chosen(low, said, config), VerifiedLoop)
+    assert isinstance(accept_chosen(verified(along_x(10.4)), said, config), VerifiedLoop)
+    for other in (rejected("SEEN_THROUGH", along_x(10.4)), rejected("LOW_OVERLAP", along_x(10.4)), rejected()):
+        assert accept_chosen(other, said, config) is other
+    far = accept_chosen(rejected("LOW_SCORE", along_x(11.0)), said, config)
+    assert isinstance(far, RejectedLoop) and far.reason is RejectionReason.FAR_FROM_MAP
