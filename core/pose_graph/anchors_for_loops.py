@@ -148,8 +148,10 @@ class _Between:
     def only(self, poses: Sequence[se3.Matrix4]) -> int | None:
         """The row of the one pose that lies there, where no two could: these all lie farther apart than anchors err."""
         rows = self.agreeing(poses)
+        if len(rows) != 1 or self.allowed_rise_m > SURE_M:
+            return None
         tells_apart = self.allowed_m <= SURE_M if len(poses) == 1 else self._tells_apart(poses)
-        return rows[0] if len(rows) == 1 and tells_apart and self.allowed_rise_m <= SURE_M else None
+        return rows[0] if tells_apart else None
 
     def _is_there(self, pose: se3.Matrix4) -> bool:
         off_m = float(np.hypot(*(pose[:2, 3] - self.place)))
