@@ -135,6 +135,16 @@ async def operations_of(world: World, map_id: str, count: int) -> list[str]:
     raise AssertionError(found)
 
 
+@pytest.mark.parametrize("column", ["tenant", "kind", "sha256", "state", "since_ms"])
+async def test_blobs_are_collected_beside_a_damaged_row_of_one(restarted, tmp_path, column):
+    world = await restarted("UPDATE map_counters SET checksum = checksum")
+    store, others = world.context.transactions, [("cloud", f"{number:064x}") for number in range(3)]
+    store.write(lambda uow: uow.blobs.release(TENANT, others)).result()
+    run(tmp_path / DATABASE, f"UPDATE unreferenced_blobs SET {column} = {NO_TEXT} WHERE sha256 = '{others[1][1]}'")
+    begun = store.write(lambda uow: uow.blobs.begin(0, 10)).result()
+    assert {blob.sha256 for blob in begun.blobs.values()} >= {others[0][1], others[2][1]}
+
+
 async def test_webhooks_of_others_are_told_beside_damaged_counters(restarted, tmp_path):
     world = await restarted("UPDATE map_counters SET checksum = checksum")
     await world.use_cases.webhooks.create(TENANT, CreateWebhook("all", "https://example.org/x"))

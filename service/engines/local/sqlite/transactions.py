@@ -33,6 +33,7 @@ from revisit.service.domain.errors import StorageFull, StorageUncertain
 from revisit.service.engines.group_commit import GroupCommitter
 from revisit.service.engines.local.clock import MachineClock, SystemClock
 from revisit.service.engines.local.files.disk import FailStop, may_grow, open_lock, try_lock
+from revisit.service.engines.local.sqlite.bookkeeping import mend_bookkeeping
 from revisit.service.engines.local.sqlite.connections import (
     READER_PRAGMAS,
     READERS,
@@ -43,7 +44,6 @@ from revisit.service.engines.local.sqlite.connections import (
     writer_engine,
     writer_pragmas,
 )
-from revisit.service.engines.local.sqlite.counters import mend_counters
 from revisit.service.engines.local.sqlite.engine import SqliteEngine
 from revisit.service.engines.local.sqlite.store_clock import StoreClock
 from revisit.service.engines.sql.map_numbers import noted, numbered
@@ -148,7 +148,7 @@ class SqliteTransactions:
 
     def _mend(self) -> None:
         with self._failures.translated(), self._lock.held(), self._writer.begin() as connection:
-            mend_counters(connection)
+            mend_bookkeeping(connection)
 
     @contextmanager
     def _to_read(self) -> Iterator[Connection]:
