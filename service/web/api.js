@@ -84,17 +84,25 @@ export async function readFile(path) {
   }
 }
 
-/** All items of a list, up to 10,000: more than a person can tell apart on a screen. */
-export async function readAll(path, field, told = () => {}) {
-  const items = [];
+/** The pages of a list, one after another: `items`, and whether `more` follow. Of its first 10,000 items: more than a person can tell apart on a screen. */
+export async function* pagesOf(path, field) {
+  const separator = path.includes("?") ? "&" : "?";
   let token = "";
-  for (let page = 0; page < MOST_PAGES; page += 1) {
-    const separator = path.includes("?") ? "&" : "?";
+  for (let page = 1; page <= MOST_PAGES; page += 1) {
     const answer = await read(`${path}${separator}page_size=${PAGE_SIZE}&page_token=${encodeURIComponent(token)}`);
-    items.push(...answer[field]);
-    told(items.length);
     token = answer.next_page_token;
-    if (!token) break;
+    const more = Boolean(token) && page < MOST_PAGES;
+    yield { items: answer[field], more };
+    if (!more) return;
   }
-  return items;
+}
+
+/** All items of a list, as far as `pagesOf` gives them. */
+export async function readAll(path, field, told = () => {}) {
+  const all = [];
+  for await (const { items } of pagesOf(path, field)) {
+    all.push(...items);
+    told(all.length);
+  }
+  return all;
 }

@@ -2,7 +2,7 @@
 "use strict";
 
 import { AnchorList } from "/anchors.js";
-import { KeyNeeded, Refused, hasKey, read, readAll, useKey } from "/api.js";
+import { KeyNeeded, Refused, hasKey, pagesOf, read, readAll, useKey } from "/api.js";
 import { colouring } from "/colouring.js";
 import { sessionColour } from "/colours.js";
 import { byId, element, lastOf, plural, press, refill, sessionOf, shortName, soon } from "/dom.js";
@@ -39,6 +39,7 @@ const model = {
   search: "",
   listed: LISTED_AT_ONCE,
   rejectedRead: false,
+  reading: false,
   selected: null,
   corrected: 1,
   colourBy: "session",
@@ -76,7 +77,7 @@ function forgetMap() {
   anchors?.clear();
   plans?.clear();
   tools?.use("none");
-  Object.assign(model, { map: null, missing: "", rejectedRead: false, selected: null, listed: LISTED_AT_ONCE, faults: [] });
+  Object.assign(model, { map: null, missing: "", rejectedRead: false, reading: false, selected: null, listed: LISTED_AT_ONCE, faults: [] });
   for (const held of [model.sessions, model.submaps, model.loops, model.operations, model.hidden]) held.clear();
 }
 
@@ -84,8 +85,9 @@ function forgetMap() {
 async function readMap() {
   const name = model.map;
   const sessions = await readAll(`/v1/${name}/sessions`, "sessions");
-  const [accepted, ambiguous, proposed, running, failed, ...tracks] = await Promise.all([
-    readAll(`/v1/${name}/loopClosures?state=ACCEPTED`, "loop_closures"),
+  const accepted = pagesOf(`/v1/${name}/loopClosures?state=ACCEPTED`, "loop_closures");
+  const [{ value: first }, ambiguous, proposed, running, failed, ...tracks] = await Promise.all([
+    accepted.next(),
     readAll(`/v1/${name}/loopClosures?state=REJECTED&reason=AMBIGUOUS`, "loop_closures"),
     readAll(`/v1/${name}/loopClosures?state=PROPOSED`, "loop_closures"),
     readAll("/v1/operations?state=RUNNING", "operations"),
@@ -95,12 +97,33 @@ async function readMap() {
   if (name !== model.map) return;
   for (const session of sessions) model.sessions.set(session.name, session);
   for (const submap of tracks.flat()) model.submaps.set(submap.name, submap);
-  for (const loop of [...accepted, ...ambiguous, ...proposed]) model.loops.set(loop.name, loop);
+  for (const loop of [...first.items, ...ambiguous, ...proposed]) model.loops.set(loop.name, loop);
   for (const operation of [...running, ...failed]) if (ofMap(operation)) model.operations.set(operation.name, operation);
-  await Promise.all([readWhyNoLoops(), readFaults(), versions.show(name), plans.show(name)]);
+  model.reading = first.more;
+  if (first.more) readFurther(name, accepted).catch(tellError);
+  await Promise.all([first.more || readWhyNoLoops(), readFaults(), versions.show(name), plans.show(name)]);
   drives.show(versions.inForce);
   anchors.show(versions.inForce);
   if (model.states.has("rejected")) await readRejected();
+}
+
+/** The further pages of accepted loops: the first picture waits for none of them. */
+async function readFurther(name, pages) {
+  try {
+    for await (const { items } of pages) {
+      if (name !== model.map) return;
+      for (const loop of items) model.loops.set(loop.name, loop);
+      tellReading(model.loops.size);
+    }
+    await readWhyNoLoops();
+  } finally {
+    if (name === model.map) model.reading = false;
+  }
+  if (name === model.map) render();
+}
+
+function tellReading(count) {
+  byId("listed").textContent = `reading ${count.toLocaleString("en")}`;
 }
 
 /** Why a session has no loop is told of the session itself, not in the list of all. */
@@ -129,9 +152,7 @@ async function readRejected() {
   if (model.rejectedRead) return;
   model.rejectedRead = true;
   const name = model.map;
-  const loops = await readAll(`/v1/${name}/loopClosures?state=REJECTED`, "loop_closures", (count) => {
-    byId("listed").textContent = `reading ${count.toLocaleString("en")}`;
-  });
+  const loops = await readAll(`/v1/${name}/loopClosures?state=REJECTED`, "loop_closures", tellReading);
   if (name === model.map) for (const loop of loops) model.loops.set(loop.name, loop);
 }
 
@@ -388,6 +409,7 @@ function renderLoops(loops) {
   }
   model.order = loops.sort((a, b) => Number(b.number) - Number(a.number)).map((loop) => loop.name);
   byId("listed").textContent = loops.length ? `${loops.length.toLocaleString("en")}, newest first` : "";
+  if (model.reading) tellReading(model.loops.size);
   const rows = loops.slice(0, model.listed).map(loopRow);
   if (loops.length > model.listed) {
     rows.push(element("li", { class: "more" }, element("button", { type: "button", class: "link", onclick: showMore }, `show ${Math.min(LISTED_AT_ONCE, loops.length - model.listed)} more of ${loops.length.toLocaleString("en")}`)));
