@@ -71,6 +71,7 @@ async function openMap(name) {
 }
 
 function forgetMap() {
+  byId("until").value = 1000;
   watch?.stop();
   versions?.clear();
   drives?.clear();
@@ -228,14 +229,27 @@ function render(refit = false) {
   renderSelection();
 }
 
+/** The time of a submap, milliseconds since 1970. */
+const msOf = (submap) => Number(submap.stamp_ns) / 1e6;
+
+/** The time up to which submaps are drawn, milliseconds since 1970; Infinity where all are. */
+function untilMs() {
+  const times = [...model.submaps.values()].map(msOf);
+  const [first, last] = times.reduce(([low, high], at) => [Math.min(low, at), Math.max(high, at)], [Infinity, -Infinity]);
+  byId("time").hidden = !(last > first);
+  const share = Number(byId("until").value) / 1000;
+  return share < 1 && last > first ? first + share * (last - first) : Infinity;
+}
+
 function renderStage(loops, refit) {
-  const every = tracks();
-  const submaps = every.reduce((sum, track) => sum + track.submaps.length, 0);
+  const [until, known] = [untilMs(), tracks()];
+  const every = known.map((track) => ({ ...track, submaps: track.submaps.filter((submap) => msOf(submap) <= until) }));
+  const submaps = model.submaps.size;
   model.frame = mainFrame(model.submaps.values());
-  model.placed = placements(every, [...model.loops.values()].filter((loop) => loop.state === "ACCEPTED"), model.frame);
+  model.placed = placements(known, [...model.loops.values()].filter((loop) => loop.state === "ACCEPTED"), model.frame);
   const drawn = every.filter((track) => model.placed.has(track.name) && !model.hidden.has(track.name));
   byId("frames").hidden = model.frame === null;
-  tellCaption(every, drawn);
+  tellCaption(every, drawn, until);
   if (view) {
     if (refit) view.places.clear();
     view.show({
@@ -305,9 +319,10 @@ function coveredByTools() {
   return { top: Math.max(0, above.bottom - stage.top), bottom: Math.max(0, stage.bottom - below.top) };
 }
 
-function tellCaption(every, drawn) {
+function tellCaption(every, drawn, until) {
   const apart = every.filter((track) => track.submaps.length && !model.placed.has(track.name) && !model.hidden.has(track.name));
   const said = [`${plural(drawn.length, "session")}, ${plural(drawn.reduce((sum, track) => sum + track.submaps.length, 0), "submap")}`];
+  if (until !== Infinity) said.push(`until ${new Date(until).toISOString().slice(0, 19).replace("T", " ")} UTC`);
   const corrected = model.frame !== null && model.corrected > 0.5;
   if (corrected) said.push(`in the frame of the map, version ${versionShown()}`);
   else if (model.frame !== null) said.push(`as odometry has it: up to ${driftInWords(drawn)} off`);
@@ -801,6 +816,7 @@ function connect() {
   byId("camera").addEventListener("click", ({ target }) => target.dataset.view && setView(target.dataset.view));
   byId("frames").addEventListener("click", ({ target }) => target.dataset.frames && setFrames(target.dataset.frames));
   byId("lift").addEventListener("input", renderSoon);
+  byId("until").addEventListener("input", renderSoon);
   byId("colour-by").addEventListener("change", ({ target }) => {
     model.colourBy = target.value;
     render();

@@ -747,6 +747,18 @@ def test_a_picture_is_put_underneath_by_two_points_pinned_anew_and_deleted(chrom
     tab.close()
 
 
+def test_submaps_and_loop_closures_are_shown_up_to_a_time(page):
+    """Of each drive the submaps are a nanosecond apart, from 1,000 on."""
+    page.tab.locator("#until").fill("250")
+    page.until("drawn-submaps", 4)
+    assert page.data("drawn-loops") == "2" and page.data("listed-loops") == "5"
+    assert "4 submaps" in page.tab.locator("#caption").inner_text()
+    assert "until 1970-01-01 00:00:00 UTC" in page.tab.locator("#caption").inner_text()
+    page.tab.locator("#until").fill("1000")
+    page.until("drawn-submaps", 8)
+    assert page.data("drawn-loops") == "5"
+
+
 def test_two_points_are_measured(page):
     page.tab.keyboard.press("e")
     for submap in ("monday/submaps/m0", "monday/submaps/m3"):
