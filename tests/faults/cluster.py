@@ -11,20 +11,26 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, closing, contextmanager, suppress
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 import httpx
+import numpy as np
 
 from revisit.formats import KITTI, encode_kitti
 from tests.faults.other_host import OtherHost, possible
-from tests.faults.stored_loops import Store
+from tests.faults.stored_loops import ALIKE, Store
+from tests.support.fake_recogniser import BINS
 from tests.support.postgres import PostgresServer, new_folder
 from tests.support.processes import SearchProcess, ServiceProcess, WorkersProcess, _Logging
 from tests.support.service_world import cloud_points
 
 PLACES, VISITS = 12, 15
 """Places that robots see in turn, and how often, before others follow: less often than a search has candidates."""
+
+MOST_PLACES = 400
+"""Of all robots together in one campaign."""
 
 ROBOTS = 3
 SETTINGS = {
@@ -83,7 +89,24 @@ class Robot:
 
 def _place(number: int) -> int:
     """The place that a submap of all robots together shows."""
-    return number % PLACES + PLACES * (number // (PLACES * VISITS))
+    return lone_places()[number % PLACES + PLACES * (number // (PLACES * VISITS))]
+
+
+@cache
+def lone_places() -> list[int]:
+    """Places no two of which are alike: of twins a query would meet more than a search has candidates, and which of
+    those are compared, chance tells.
+    """
+    found, descriptors = list[int](), np.zeros((MOST_PLACES, BINS))
+    for place in itertools.count():
+        counts, _ = np.histogram(cloud_points(place)[:, 2], bins=BINS, range=(-8.0, 8.0))
+        descriptor = counts / np.linalg.norm(counts)
+        if (descriptors @ descriptor).max() < ALIKE:
+            descriptors[len(found)] = descriptor
+            found.append(place)
+        if len(found) == MOST_PLACES:
+            return found
+    raise AssertionError
 
 
 def acknowledged_to(robots: list[Robot]) -> set[str]:

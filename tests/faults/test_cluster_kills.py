@@ -8,16 +8,35 @@ import time
 
 import pytest
 
-from tests.faults.cluster import ROBOTS, Robot, acknowledged_to, cluster_in, make_sessions
-from tests.faults.stored_loops import require_all, worked_off
+from revisit.service.features.catalogue.maps import CreateMap
+from revisit.service.features.catalogue.sessions import CreateSession
+from tests.faults.cluster import ROBOTS, Robot, acknowledged_to, cluster_in, lone_places, make_sessions
+from tests.faults.stored_loops import ALIKE, require_all, worked_off
 from tests.support.campaigns import Campaign, seed_of_this_run, sizes
+from tests.support.drives_on_a_road import loops_of
 from tests.support.patience import PATIENCE_S, eventually
+from tests.support.service_world import TENANT, memory_world, submap
 
 
 @pytest.fixture
 def cluster(tmp_path):
     with cluster_in(tmp_path) as made:
         yield made
+
+
+TWIN = 118
+"""A place that looks as place 45 does."""
+
+
+async def test_robots_see_no_two_places_that_are_alike():
+    world, places = memory_world(optimise_after_loops=0), lone_places()[40:50]
+    await world.use_cases.maps.create(TENANT, CreateMap("town", leave_distance_m=0.0))
+    await world.use_cases.sessions.create(TENANT, CreateSession("town", "monday"))
+    for place in (*places, TWIN):
+        await world.use_cases.posting.post(TENANT, submap(f"s{place}", place))
+    world.work_off()
+    alike = {query[1] for (query, _), verdict in loops_of(world).items() if verdict[2] > ALIKE}
+    assert alike == {f"s{TWIN}"} and TWIN not in lone_places()
 
 
 def strike(cluster, campaign, robots, rng):
