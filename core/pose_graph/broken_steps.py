@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from revisit.core.geometry import se3, se3_rows
-from revisit.core.pose_graph.faults import FaultKind, Mending, OdometryFault, steps_of
+from revisit.core.pose_graph.faults import LEAST_LOOPS, FaultKind, Mending, OdometryFault, steps_of
 from revisit.core.pose_graph.graph import LoopEdge, Node, PoseGraph, Trajectory
 from revisit.core.pose_graph.least_squares import graduated, minimise
 from revisit.core.pose_graph.normal_equations import Edges
@@ -41,8 +41,8 @@ BENT_BETWEEN = 30.0
 APART = 3
 """Submaps by which broken steps may be apart to be one fault: noise shifts a part of it to its neighbours."""
 
-LEAST_LOOPS, LEAST_PLACES = 5, 2
-"""On each side of a fault: loops that hold, and the places that show them."""
+LEAST_PLACES = 2
+"""On each side of a fault: the places that loops show which hold."""
 
 MOST_M, MOST_RAD = 15.0, float(np.radians(45.0))
 """A larger shift is more likely another place than a fault of odometry; so may a larger turn be, which is undecided."""

@@ -15,7 +15,7 @@ from revisit.core.geometry import se3
 from revisit.core.pose_graph.anchors import Anchor, Georeference, JudgedAnchor, require_anchors
 from revisit.core.pose_graph.broken_steps import Steps, StepSearch, broken_steps, is_bent, shows_a_fault
 from revisit.core.pose_graph.consistency import ConsistentSet, consistent_sets
-from revisit.core.pose_graph.faults import Mending, OdometryFault, doubt
+from revisit.core.pose_graph.faults import MOST_SOLVED_TWICE, Mending, OdometryFault, doubt
 from revisit.core.pose_graph.graph import GraphState, Node, PoseGraph, Trajectory
 from revisit.core.pose_graph.grounding import Grounding, Solution
 from revisit.core.pose_graph.heading_bias import straightened
@@ -53,9 +53,6 @@ LEAST_PLACES, FIT_SLACK = 10, 5.0
 
 MAX_VOUCHED = 100
 """Loops, at most, that are held against the covariances of the poses."""
-
-MOST_SOLVED_TWICE = 4000
-"""Submaps of a graph that is solved again for undecided faults: of 10,000 one answer takes 40 s."""
 
 
 class Robustness(StrEnum):

@@ -114,9 +114,9 @@ class NamedGraph:
         """Further loops between its submaps."""
         return _edges(loops, self._nodes)
 
-    def answer(self, optimised: OptimisedGraph) -> OptimisedMap:
-        """The answer of the port."""
-        tracks = tuple(self._track(track, optimised) for track in self.graph.tracks)
+    def answer(self, optimised: OptimisedGraph, is_mended: bool = False) -> OptimisedMap:
+        """The answer of the port; `is_mended` where it has undecided faults mended, too."""
+        tracks = tuple(self._track(track, optimised, is_mended) for track in self.graph.tracks)
         judged = {
             loop_number(loop): JudgedLoop(loop_number(loop), state, float(distance))
             for loop, state, distance in zip(self.posed.loops, optimised.loops, optimised.residuals, strict=True)
@@ -139,15 +139,15 @@ class NamedGraph:
                 for anchor, verdict in zip(self.fixed, optimised.anchors, strict=True)
             ),
             on_earth=tuple(_on_earth(one, numbers) for one in optimised.georeferences),
-            otherwise=None if optimised.otherwise is None else self.answer(optimised.otherwise),
+            otherwise=None if optimised.otherwise is None else self.answer(optimised.otherwise, True),
             T_odom_submap={numbers[name]: its for name, its in optimised.T_odom_submap.items()},
         )
 
-    def _track(self, track: SessionTrack, optimised: OptimisedGraph) -> OptimisedTrack:
+    def _track(self, track: SessionTrack, optimised: OptimisedGraph, is_mended: bool) -> OptimisedTrack:
         from revisit.core.pose_graph.faults import torn
 
         name = self.names[track.session_number]
-        its = [one for one in optimised.faults if one.session == name and not one.undecided]
+        its = [one for one in optimised.faults if one.session == name and (is_mended or not one.undecided)]
         drive, mended = self.posed.by_session[name], optimised.T_odom_submap[name]
         group = next(group for group in optimised.components if name in group)
         return OptimisedTrack(

@@ -138,10 +138,11 @@ class Drives:
 async def test_a_slip_of_a_short_drive_is_mended_where_surfaces_speak_against_the_odometry():
     drives = Drives(slipped=True)
     drives.world.merger = Surfaces(drives.truth())
-    summary, codes, off_m, _ = await drives.optimised()
+    summary, codes, off_m, sigma_m = await drives.optimised()
     (fault,) = summary["odometry_faults"]
     assert (fault["kind"], fault["undecided"], codes) == ("SLIP", False, ["odometry_slip"])
     assert (summary["loops_set_aside"], off_m < 0.5) == (0, True)
+    assert sigma_m > 4.5, "the submaps that it tears are as unsure as it is long"
 
 
 async def test_a_slip_that_surfaces_do_not_decide_is_told_and_the_map_as_unsure_as_that():
@@ -207,6 +208,29 @@ async def test_a_slip_that_doubted_loops_show_and_surfaces_do_not_decide_is_told
     drives.world.merger = Contrary()
     summary, codes, _, _ = await drives.optimised()
     assert (summary["frames"], codes) == (2, ["odometry_undecided"])
+
+
+class Mostly(Surfaces):
+    """Surfaces of drives that agree but for some submaps, too few for the audit of a join."""
+
+    def audit(self, first, second, surfaces, scale, most, progress) -> MergeEvidence:
+        """Those beside a fault decide as ever."""
+        found = super().audit(first, second, surfaces, scale, most, progress)
+        return found if most == FAULT_PAIRS else replace(found, seen_through_share=0.001)
+
+
+async def test_a_slip_that_doubted_loops_show_is_mended_where_the_surfaces_of_most_of_a_drive_agree():
+    drives = DoubtedBefore(slipped=True)
+    drives.world.merger = Mostly(drives.truth())
+    summary, codes, off_m, _ = await drives.optimised()
+    assert (summary["frames"], codes, off_m < 0.5) == (1, ["odometry_slip"], True)
+
+
+async def test_doubted_loops_that_surfaces_do_not_confirm_tell_nothing_of_drives_that_agree():
+    drives = DoubtedBefore(slipped=True)
+    drives.world.merger = Surfaces(None)
+    summary, codes, _, _ = await drives.optimised()
+    assert (summary["frames"], summary["odometry_faults"], codes) == (1, [], [])
 
 
 class Stranger(FakeMerger):

@@ -2,17 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections import Counter
+from collections.abc import Iterable
+
+import numpy as np
 
 from revisit.core.acceptance import Doubt
+from revisit.core.geometry import se3
+from revisit.core.geometry.se3 import Matrix4
+from revisit.core.pose_graph.faults import LEAST_LOOPS
 from revisit.service.domain.identity import TenantId
 from revisit.service.domain.records import LoopRecord
 from revisit.service.features.graph.reading import track_loop
-from revisit.service.ports.map_optimiser import TrackLoop
+from revisit.service.ports.map_optimiser import MapGraph, OptimisedMap, TrackLoop
 from revisit.service.ports.transactions import UnitOfWork
 
 _BY_OTHERS = frozenset({Doubt.PAIRWISE_INCONSISTENT, Doubt.SUPPORT_LOST})
 """Doubts that loops raise which lie across a broken step."""
+
+ELSEWHERE_M, ELSEWHERE_RAD = 1.0, float(np.radians(5.0))
+"""By how much a loop and a map differ that a broken step lies between."""
 
 _PAGE = 500
 """Loops, whose rows are as many as may be asked for at once."""
@@ -24,14 +33,28 @@ def is_doubted_by_others(loop: LoopRecord) -> bool:
     return bool(doubts) and doubts <= _BY_OTHERS
 
 
-def doubted_loops(uow: UnitOfWork, tenant: TenantId, map_id: str, submaps: Collection[int]) -> tuple[TrackLoop, ...]:
-    """Those of a map between these submaps, by number, as a pose graph has loops."""
+def doubted_loops(uow: UnitOfWork, tenant: TenantId, map_id: str) -> tuple[TrackLoop, ...]:
+    """Those of a map, as a pose graph has loops."""
     found: list[TrackLoop] = []
     after: int | None = 0
     while after is not None:
         page = uow.loops.rejected(tenant, map_id, ["AMBIGUOUS"], after=after, limit=_PAGE)
-        within = [one.number for one in page if one.query_number in submaps and one.match_number in submaps]
-        loops = uow.loops.numbered(tenant, within).values() if within else ()
+        loops = uow.loops.numbered(tenant, [one.number for one in page]).values() if page else ()
         found += [track_loop(one) for one in loops if one.T_match_query is not None and is_doubted_by_others(one)]
         after = page[-1].number if len(page) == _PAGE else None
     return tuple(found)
+
+
+def contradicted(graph: MapGraph, optimised: OptimisedMap, doubted: Iterable[TrackLoop]) -> frozenset[int]:
+    """The sessions, by number, that LEAST_LOOPS of these loops say to lie elsewhere than in a solution."""
+    poses, session = dict[int, Matrix4](), dict[int, int]()
+    for track, solved in zip(graph.tracks, optimised.tracks, strict=True):
+        poses |= zip(track.submaps, solved.T_map_submap, strict=True)
+        session |= dict.fromkeys(track.submaps, track.session_number)
+    count = Counter[int]()
+    for loop in doubted:
+        if loop.match in poses and loop.query in poses:
+            apart = se3.inverse(poses[loop.match] @ loop.T_match_query) @ poses[loop.query]
+            if np.linalg.norm(apart[:3, 3]) > ELSEWHERE_M or se3.rotation_angle(apart) > ELSEWHERE_RAD:
+                count.update({session[loop.match], session[loop.query]})
+    return frozenset(number for number, loops in count.items() if loops >= LEAST_LOOPS)

@@ -10,11 +10,11 @@ from functools import partial
 from revisit.core.errors import DataLoss
 from revisit.core.geometry.se3 import Matrix4
 from revisit.core.merge.evidence import MergeEvidence, MergeRefusal, surfaces_refusal
-from revisit.core.pose_graph.faults import OdometryFault
+from revisit.core.pose_graph.faults import MOST_SOLVED_TWICE, OdometryFault
 from revisit.core.pose_graph.graph import GraphState
 from revisit.service.domain.identity import TenantId
 from revisit.service.features.graph.anchors import loops_against
-from revisit.service.features.graph.doubted_loops import doubted_loops
+from revisit.service.features.graph.doubted_loops import contradicted, doubted_loops
 from revisit.service.features.graph.fault_audit import Placed, decided
 from revisit.service.features.graph.reading import MapTask
 from revisit.service.features.graph.released_maps import released_maps
@@ -29,6 +29,7 @@ from revisit.service.ports.map_optimiser import (
     Progress,
     RefusedJoin,
     TrackAnchor,
+    TrackLoop,
 )
 
 VERSION_PAIRS = 100
@@ -115,8 +116,7 @@ class JoinAudit:
             found = by_loops[key].held(fixed)
             optimised = asked.decided(found)
             more = asked.refused(optimised)
-            if more:
-                optimised, more = self._by_doubted(task, fixed, loops, optimised, more, asked, progress)
+            optimised, more = self._by_doubted(task, fixed, loops, optimised, more, asked, progress)
             before = (one for one in undecided if not any(one.is_beside(other) for other in found.faults))
             faults = (*optimised.faults, *before)
             if not more:
@@ -129,25 +129,37 @@ class JoinAudit:
         self, task: MapTask, fixed: tuple[TrackAnchor, ...], refused: Mapping[int, str], optimised: OptimisedMap,
         joins: tuple[RefusedJoin, ...], asked: _Audit, progress: Progress,
     ) -> tuple[OptimisedMap, tuple[RefusedJoin, ...]]:  # fmt: skip
-        """A solution some of whose `joins` surfaces refuse, and these; or the one with a fault of odometry that doubted
-        loops show, where surfaces refuse nothing with it, and more loops hold: the next version compares them again, as
-        those loops may not be accepted. A fault that surfaces do not decide is told.
+        """A solution some of whose `joins` surfaces refuse, and these; or the one with faults of odometry that doubted
+        loops show and surfaces decide, where they refuse nothing with it, and more loops hold: the next version
+        compares them again, as those loops may not be accepted. Where drives are kept apart the faults are told.
         """
-        tenant, sessions = TenantId(task.map.tenant), {n for join in joins for n in (*join.sessions, *join.others)}
-        submaps = {n for track in task.graph.tracks if track.session_number in sessions for n in track.submaps}
-        read = partial(doubted_loops, tenant=tenant, map_id=task.map.map_id, submaps=submaps)
-        doubted = self._context.transactions.read(read).result()
-        if not doubted:
+        sessions, doubted = self._doubted(task, optimised, joins)
+        if not doubted or not sessions:
             return optimised, joins
         graph = replace(task.graph, loops=(*task.graph.loops, *doubted), refused=refused)
-        other = asked.decided(self._optimiser.by_loops(graph, progress).held(fixed))
-        broken = [one for one in other.faults if one.kind.is_at_once]
-        mended = any(not one.undecided for one in broken)
-        if mended and _in_map(other) > _in_map(optimised) and not asked.refused(other):
+        found = self._optimiser.by_loops(graph, progress).held(fixed)
+        mended = found.otherwise or found
+        broken = [one for one in found.faults if one.kind.is_at_once and not any(map(one.is_beside, optimised.faults))]
+        faults = (*optimised.faults, *(replace(one, undecided=True) for one in broken))
+        doubtful = replace(optimised, faults=faults, otherwise=mended if broken else None)
+        other = asked.decided(doubtful, replace(task, graph=graph))
+        is_decided = sum(not one.undecided for one in other.faults) > sum(not one.undecided for one in optimised.faults)
+        if is_decided and _in_map(other) > _in_map(optimised) and not asked.refused(other, sessions):
             asked_again = dict.fromkeys(sessions, 0)
             return replace(other, loops=other.loops[: len(task.graph.loops)], audited=asked_again), ()
-        told = (replace(one, undecided=True) for one in broken if not any(map(one.is_beside, optimised.faults)))
-        return replace(optimised, faults=(*optimised.faults, *told)), joins
+        told = faults if is_decided else other.faults
+        return replace(optimised, faults=told) if joins else optimised, joins
+
+    def _doubted(
+        self, task: MapTask, optimised: OptimisedMap, joins: tuple[RefusedJoin, ...]
+    ) -> tuple[Sessions, tuple[TrackLoop, ...]]:
+        """The sessions of refused `joins`, or those that doubted loops contradict in a solution, and doubted loops."""
+        sessions = frozenset(number for join in joins for number in (*join.sessions, *join.others))
+        if not joins and sum(len(one.submaps) for one in task.graph.tracks) > MOST_SOLVED_TWICE:
+            return sessions, ()
+        read = partial(doubted_loops, tenant=TenantId(task.map.tenant), map_id=task.map.map_id)
+        doubted = self._context.transactions.read(read).result()
+        return sessions or contradicted(task.graph, optimised, doubted), doubted
 
     def refused(self, task: MapTask, progress: Progress) -> tuple[RefusedJoin, ...]:
         """The joins that its solution is without; a map is not solved where the version in force has said it."""
@@ -175,8 +187,8 @@ class _Audit:
         self._surfaces = surfaces
         self._released = released
 
-    def refused(self, optimised: OptimisedMap) -> tuple[RefusedJoin, ...]:
-        """The joins of a solution that the surfaces speak against.
+    def refused(self, optimised: OptimisedMap, anew: Sessions = frozenset()) -> tuple[RefusedJoin, ...]:
+        """The joins of a solution that the surfaces speak against; those with sessions `anew` are asked about again.
 
         Groups of sessions grow by the pair with most loops first; each join of two groups is asked over their whole
         overlap. What is refused stays so, whatever joins either side later.
@@ -184,14 +196,16 @@ class _Audit:
         joins = _Joins.of(self._task, optimised)
         groups = {track.session_number: frozenset((track.session_number,)) for track in optimised.tracks}
         for pair in joins.settled:
-            _unite(groups, pair)
+            if not pair & anew:
+                _unite(groups, pair)
         most = self._pairs_each(len({*groups.values()}))
         refused: dict[Sessions, tuple[MergeRefusal, MergeEvidence]] = {}
         for pair in joins.pairs:
             sides = _sides(groups, pair)
             if len(sides) == 1 or any(_sides(groups, known) == sides for known in refused):
                 continue
-            found = None if sides in self._allowed else self._compared(optimised, sides, most)
+            known = sides in self._allowed and not any(side & anew for side in sides)
+            found = None if known else self._compared(optimised, sides, most)
             reason = None if found is None else surfaces_refusal(found, self._merger.limits.scaled(self._scale))
             if found is None or reason is None:
                 self._allowed.add(sides)
@@ -201,13 +215,15 @@ class _Audit:
         why = {_sides(groups, pair): refusal for pair, refusal in refused.items()}
         return tuple(_refused_join(self._task, sides, *refusal) for sides, refusal in why.items())
 
-    def decided(self, optimised: OptimisedMap) -> OptimisedMap:
-        """A solution with its undecided faults of odometry mended, or without them, where the surfaces decide."""
+    def decided(self, optimised: OptimisedMap, task: MapTask | None = None) -> OptimisedMap:
+        """A solution, of a `task` with doubted loops perhaps, with its undecided faults of odometry mended, or without
+        them, where the surfaces decide.
+        """
 
         def compared(first: Placed, second: Placed) -> MergeEvidence | None:
             return self._by_surfaces(first, second, FAULT_PAIRS)
 
-        return decided(self._task, optimised, compared, self._merger.limits.scaled(self._scale))
+        return decided(task or self._task, optimised, compared, self._merger.limits.scaled(self._scale))
 
     def _pairs_each(self, groups: int) -> int:
         return max(LEAST_PAIRS, min(MOST_PAIRS, VERSION_PAIRS // max(groups - 1, 1)))

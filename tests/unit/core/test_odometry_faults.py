@@ -12,7 +12,7 @@ import pytest
 from revisit.core.geometry import se3
 from revisit.core.pose_graph import optimisation
 from revisit.core.pose_graph.broken_steps import is_bent
-from revisit.core.pose_graph.faults import FaultKind
+from revisit.core.pose_graph.faults import FaultKind, OdometryFault, torn
 from revisit.core.pose_graph.graph import GraphState, LoopEdge, Node, PoseGraph, Trajectory
 from revisit.core.pose_graph.optimisation import OptimisedGraph, optimise
 from tests.support.made_up_fleet import LOOP_COVARIANCE, fleet
@@ -166,6 +166,15 @@ def test_faults_are_those_about_the_vertical_however_the_sensor_is_mounted(name:
     assert (fault.session, fault.kind) == ("b", kind)
     assert fault.amount == pytest.approx(amount, rel=0.1)
     assert apart_m(answer) < 0.2
+
+
+def test_submaps_that_a_turn_tears_are_as_unsure_as_it_shifts_half_of_them() -> None:
+    poses = winding_way()
+    given = odometry("b", poses, 2, at_once(se3.from_yaw(np.radians(20.0))))
+    fault = OdometryFault("b", FaultKind.TURN, AT - 1, AT, float(np.radians(20.0)), 0.01, 9)
+    sigma_m = np.sqrt(torn(given, odometry("b", poses, 2).T_odom_submap, [fault], 10.0)[:, :2, :2].trace(0, 1, 2) / 2.0)
+    assert sigma_m[[AT - 1, AT]] == pytest.approx(2.5 * np.radians(20.0), rel=0.05)
+    assert not sigma_m[: AT - 2].any() and not sigma_m[AT + 2 :].any()
 
 
 def test_good_odometry_has_no_fault() -> None:
