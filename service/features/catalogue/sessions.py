@@ -7,7 +7,7 @@ from functools import partial
 from typing import Any
 
 from revisit.core.pose_graph.graph import OdometryModel
-from revisit.core.sanity.finding import LIKELY_CAUSES
+from revisit.core.sanity.finding import LEAST_SHARES, LIKELY_CAUSES
 from revisit.service.domain.identity import (
     SessionKey,
     TenantId,
@@ -154,7 +154,8 @@ class Sessions:
         """The view with its findings, for which all submaps of the session are looked at, and why it has no loop."""
         counts = uow.submaps.flag_counts(record.tenant, record.map_id, record.session_id)
         known = ((code.lower(), count) for code, count in counts.items() if code.lower() in LIKELY_CAUSES)
-        ordered = sorted(known, key=lambda found: (-found[1], found[0]))
+        told = ((code, count) for code, count in known if count >= LEAST_SHARES.get(code, 0.0) * record.next_ordinal)
+        ordered = sorted(told, key=lambda found: (-found[1], found[0]))
         of_submaps = (SessionFinding(code, count, *LIKELY_CAUSES[code]) for code, count in ordered)
         config = self._context.policy.for_map(require_map(uow, record.tenant, record.map_id))
         why = why_no_loops(uow, record, config.loop)
