@@ -45,16 +45,23 @@ def doubted_loops(uow: UnitOfWork, tenant: TenantId, map_id: str) -> tuple[Track
     return tuple(found)
 
 
+def within_frames(graph: MapGraph, optimised: OptimisedMap, doubted: Iterable[TrackLoop]) -> tuple[TrackLoop, ...]:
+    """Those of these loops whose ends lie in one frame of a solution."""
+    tracks = zip(graph.tracks, optimised.tracks, strict=True)
+    frame = {number: solved.anchor for track, solved in tracks for number in track.submaps}
+    joined = ((one, frame.get(one.match), frame.get(one.query)) for one in doubted)
+    return tuple(one for one, match, query in joined if match == query and match is not None)
+
+
 def contradicted(graph: MapGraph, optimised: OptimisedMap, doubted: Iterable[TrackLoop]) -> frozenset[int]:
-    """The sessions, by number, that LEAST_LOOPS of these loops say to lie elsewhere than in a solution."""
+    """The sessions, by number, that LEAST_LOOPS of these loops, `within_frames`, say to lie elsewhere."""
     poses, session = dict[int, Matrix4](), dict[int, int]()
     for track, solved in zip(graph.tracks, optimised.tracks, strict=True):
         poses |= zip(track.submaps, solved.T_map_submap, strict=True)
         session |= dict.fromkeys(track.submaps, track.session_number)
     count = Counter[int]()
     for loop in doubted:
-        if loop.match in poses and loop.query in poses:
-            apart = se3.inverse(poses[loop.match] @ loop.T_match_query) @ poses[loop.query]
-            if np.linalg.norm(apart[:3, 3]) > ELSEWHERE_M or se3.rotation_angle(apart) > ELSEWHERE_RAD:
-                count.update({session[loop.match], session[loop.query]})
+        apart = se3.inverse(poses[loop.match] @ loop.T_match_query) @ poses[loop.query]
+        if np.linalg.norm(apart[:3, 3]) > ELSEWHERE_M or se3.rotation_angle(apart) > ELSEWHERE_RAD:
+            count.update({session[loop.match], session[loop.query]})
     return frozenset(number for number, loops in count.items() if loops >= LEAST_LOOPS)

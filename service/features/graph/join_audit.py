@@ -14,7 +14,7 @@ from revisit.core.pose_graph.faults import MOST_SOLVED_TWICE, OdometryFault
 from revisit.core.pose_graph.graph import GraphState
 from revisit.service.domain.identity import TenantId
 from revisit.service.features.graph.anchors import loops_against
-from revisit.service.features.graph.doubted_loops import contradicted, doubted_loops
+from revisit.service.features.graph.doubted_loops import contradicted, doubted_loops, within_frames
 from revisit.service.features.graph.fault_audit import Placed, decided
 from revisit.service.features.graph.reading import MapTask
 from revisit.service.features.graph.released_maps import released_maps
@@ -153,12 +153,14 @@ class JoinAudit:
     def _doubted(
         self, task: MapTask, optimised: OptimisedMap, joins: tuple[RefusedJoin, ...]
     ) -> tuple[Sessions, tuple[TrackLoop, ...]]:
-        """The sessions of refused `joins`, or those that doubted loops contradict in a solution, and doubted loops."""
+        """The sessions of refused `joins`, or those that doubted loops contradict in a solution, and doubted loops of
+        sessions that it joins: what was refused before, these do not join again.
+        """
         sessions = frozenset(number for join in joins for number in (*join.sessions, *join.others))
         if not joins and sum(len(one.submaps) for one in task.graph.tracks) > MOST_SOLVED_TWICE:
             return sessions, ()
         read = partial(doubted_loops, tenant=TenantId(task.map.tenant), map_id=task.map.map_id)
-        doubted = self._context.transactions.read(read).result()
+        doubted = within_frames(task.graph, optimised, self._context.transactions.read(read).result())
         return sessions or contradicted(task.graph, optimised, doubted), doubted
 
     def refused(self, task: MapTask, progress: Progress) -> tuple[RefusedJoin, ...]:
