@@ -47,11 +47,15 @@ export function soon(work, delay_ms = 60) {
   };
 }
 
-/** Fill a list anew; the keyboard stays where it was, on what has the same id, or is in the row of the same name. */
+/** Fill a list anew; the keyboard stays where it was, on what has the same id, or the same words or place in the row of the same name. */
 export function refill(list, ...rows) {
   const focused = list.contains(document.activeElement) ? document.activeElement : null;
-  const name = focused?.closest("[data-name]")?.dataset.name;
+  const row = focused?.closest("[data-name]");
+  const place = row ? controlsOf(row).indexOf(focused) : -1;
   list.replaceChildren(...rows);
-  const again = focused?.id ? byId(focused.id) : [...list.children].find((row) => name && row.dataset.name === name)?.querySelector("button, input");
+  const now = row && controlsOf([...list.children].find(({ dataset }) => dataset.name === row.dataset.name));
+  const again = focused?.id ? byId(focused.id) : (now?.find(({ textContent }) => textContent && textContent === focused.textContent) ?? now?.[place]);
   again?.focus({ preventScroll: true });
 }
+
+const controlsOf = (row) => [...(row?.querySelectorAll("button, input") ?? [])];

@@ -630,6 +630,7 @@ const FRAMES_MS = 900;
 
 /** Move from odometry to the frame of the map, or back, so that one sees what the loop closures have done. */
 function setFrames(moment, atOnce = false) {
+  if (plans?.draft && moment === "before") return; // a plan is pinned to the frame of the map
   press(byId("frames"), "frames", moment);
   const [from, to, began_ms] = [model.corrected, moment === "after" ? 1 : 0, performance.now()];
   const still = atOnce || window.matchMedia("(prefers-reduced-motion: reduce)").matches;

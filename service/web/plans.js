@@ -2,7 +2,7 @@
 "use strict";
 
 import { readAll, readFile, remove, send, sendFile } from "/api.js";
-import { byId, element, lastOf } from "/dom.js";
+import { byId, element, lastOf, refill } from "/dom.js";
 import { PicturePins } from "/picture.js";
 import { plainPicture } from "/plainpicture.js";
 import { inWords } from "/tools.js";
@@ -84,7 +84,7 @@ export class Plans {
 
   render() {
     byId("plans-count").textContent = this.plans.length || "";
-    byId("plan-list").replaceChildren(...this.plans.map((plan) => this.row(plan)));
+    refill(byId("plan-list"), ...this.plans.map((plan) => this.row(plan)));
     this.draw();
   }
 
@@ -99,7 +99,7 @@ export class Plans {
     const detail = [plan.storey && `storey ${plan.storey}`, this.isHere(plan) ? `${scaleOf(plan)} a pixel` : "in another part of the map"];
     return element(
       "li",
-      { "data-plan": plan.name },
+      { "data-plan": plan.name, "data-name": plan.name },
       element("label", {}, box, element("span", {}, titleOf(plan), element("small", {}, detail.filter(Boolean).join(" \u00b7 ")))),
       slide,
       element("button", { type: "button", class: "link", title: "Set its two points anew", onclick: () => this.pinAnew(plan) }, "points"),

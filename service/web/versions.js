@@ -2,7 +2,7 @@
 "use strict";
 
 import { read, readAll, send } from "/api.js";
-import { byId, element, plural } from "/dom.js";
+import { byId, element, plural, refill } from "/dom.js";
 import { matrixOf } from "/frames.js";
 import { inWords } from "/tools.js";
 
@@ -35,7 +35,7 @@ export class Versions {
   render() {
     byId("versions").hidden = !this.versions.length;
     byId("versions-count").textContent = this.versions.length ? `${this.versions.length}` : "";
-    byId("version-list").replaceChildren(...this.versions.slice(0, SHOWN).map((version, index) => this.row(version, index)));
+    refill(byId("version-list"), ...this.versions.slice(0, SHOWN).map((version, index) => this.row(version, index)));
   }
 
   row(version, index) {
@@ -46,7 +46,7 @@ export class Versions {
     const before = this.versions[index + 1];
     return element(
       "li",
-      { "data-version": version.version },
+      { "data-version": version.version, "data-name": version.name },
       element("span", { title: new Date(Number(version.created_at_ns) / 1e6).toLocaleString() }, `Version ${version.version}${version.in_force ? ", in force" : ""}`, element("small", {}, detail)),
       before && element("button", { type: "button", class: "link", "aria-pressed": String(pressed), title: `What changed since version ${before.version}`, onclick: () => this.compare(version, before) }, pressed ? "hide" : "changes"),
       !version.in_force && element("button", { type: "button", class: "link", title: "Bring the poses of this version back, as a new version", onclick: () => this.goBack(version) }, "go back"),
