@@ -67,6 +67,10 @@ def test_a_how_to_is_a_page_of_a_hundred_lines(path):
     assert len(path.read_text().splitlines()) <= 100
 
 
+def test_the_readme_has_a_hundred_and_twenty_lines_at_most():
+    assert len((ROOT / "README.md").read_text().splitlines()) <= 120
+
+
 def test_each_command_that_a_page_for_users_names_is_one():
     groups = {("revisit",): _revisit().commands}
     groups |= {
