@@ -29,12 +29,15 @@ class GroundTruth:
     def of_one_drive(cls, positions: Floats, config: LoopConfig, radius_m: float) -> GroundTruth:
         """Each submap of a drive is matched as in the product: with the earlier ones that may be loops (decision 0316).
 
-        positions (n, 3) metres.
+        Of those passed aside (decision 0353) the ones beyond `radius_m` are left out: they share a view, and are no
+        wrong match. positions (n, 3) metres.
         """
-        rows = [are_revisits(positions, row, config) for row in range(len(positions))]
-        allowed = np.tril(np.array(rows, dtype=bool).reshape(len(rows), len(rows)))
-        distance = np.linalg.norm(positions[:, None] - positions[None], axis=2)
-        return cls(allowed, allowed & (distance <= radius_m))
+        count = len(positions)
+        near = np.linalg.norm(positions[:, None] - positions[None], axis=2) <= radius_m
+        rows = [are_revisits(positions, row, config) & near[row] for row in range(count)]
+        entered = [are_revisits(positions, row, config, aside=1.0) for row in range(count)]
+        allowed = np.tril((np.array(rows, dtype=bool) | np.array(entered, dtype=bool)).reshape(count, count))
+        return cls(allowed, allowed & near)
 
     @classmethod
     def between_sessions(cls, queries: Floats, known: Floats, radius_m: float) -> GroundTruth:

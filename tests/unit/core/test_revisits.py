@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from revisit.core.acceptance.revisits import are_revisits, candidate_policy
 from revisit.core.config import LoopConfig, PipelineConfig
+from revisit.evaluation.ground_truth import GroundTruth
 
 Positions = NDArray[np.float64]
 CONFIG = LoopConfig(leave_distance=5.0, drift=0.02)
@@ -50,9 +51,30 @@ def test_a_round_that_never_leaves_the_place_is_no_revisit_before_odometry_canno
 
 
 def test_the_distance_grows_with_the_drift_of_the_way() -> None:
-    beside = along((0, 0), (50, 0), (50, 6.5), (0, 6.5), step_m=0.5)
-    assert 0 in revisits(beside, len(beside) - 1)  # after 106.5 m, 7.1 m may be nothing
+    beside = along((0, 0), (50, 0), (50, 16.5), (0, 16.5), step_m=0.5)
+    assert 0 in revisits(beside, len(beside) - 1)  # after 116.5 m, an aisle is 17.3 m away at most
     assert 0 not in revisits(beside, len(beside) - 1, replace(CONFIG, drift=1e-6))
+
+
+@pytest.mark.parametrize("aside_m", [6.0, 8.0, 12.0])
+def test_a_drive_there_and_back_is_revisited_in_the_lane_beside(aside_m: float) -> None:
+    lanes = along((0, 0), (40, 0), (40, aside_m), (0, aside_m), step_m=1.0)
+    last = len(lanes) - 1  # at the begin of the way, aside
+    assert 0 in revisits(lanes, last)
+    assert all(np.linalg.norm(lanes[one] - lanes[last]) <= 17.0 for one in revisits(lanes, last))
+
+
+def test_a_lane_beside_beyond_the_radius_of_an_evaluation_is_no_wrong_match() -> None:
+    lanes = along((0, 0), (40, 0), (40, 8), (0, 8), step_m=1.0)
+    within, beyond = (GroundTruth.of_one_drive(lanes, CONFIG, radius_m) for radius_m in (9.0, 7.0))
+    assert within.positives[-1, 0]
+    assert not beyond.allowed[-1, 0]
+
+
+def test_a_bend_of_the_way_is_no_revisit() -> None:
+    """Though the drive comes nearer again, by less than it must leave a place."""
+    bend = along((0, 0), (12, 0), (12, 12), (24, 12), step_m=2.0)
+    assert all(revisits(bend, row) == [] for row in range(len(bend)))
 
 
 def test_two_submaps_are_revisits_of_each_other_or_neither_is() -> None:

@@ -87,8 +87,8 @@ def test_queries_meet_only_earlier_submaps_of_places_that_were_left_and_entered_
     recording: KittiRecording,
 ) -> None:
     rows = evaluate(recording, options(), method=Compass()).queries
-    # A lap has 50 submaps, and the last of them lies 5 m from the first.
-    assert all(row["candidate_id"] is None for row in rows[:49])
+    # A lap has 50 submaps; the last of them lies 5 m from the first, and two before it come nearer by more than 5 m.
+    assert all(row["candidate_id"] is None for row in rows[:46])
     assert rows[49]["candidate_id"] == 0
     assert all(row["id"] - row["candidate_id"] in (49, 50, 51) for row in rows[51:-1])
     assert rows[0]["verified_score"] is rows[0]["T_match_query"] is rows[0]["descriptor_candidate_id"] is None
