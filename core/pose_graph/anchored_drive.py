@@ -42,20 +42,29 @@ STRETCHES, FITTINGS = 50, 3
 MOST_BESIDE = 12
 """So many anchors nearest to a submap tell where it is: over a shorter way odometry bends less."""
 
+JUMP_SIDE, JUMP_REACH_M = 5, 150.0
+"""So many anchors before and behind a place of a drive show whether their errors jump there; none within JUMP_REACH_M
+of a jump tells where a submap is: a receiver may be wrong for minutes, and nobody knows on which side of it.
+"""
+
+OWN_ERROR_M = 0.5
+"""Anchors and odometry may differ by so much without any error that they state: a lever arm, a bend of the drive."""
+
 LEAST_SPREAD_M = 10.0
 """The anchors beside a submap tell its heading where they lie so far, root mean square, from their middle."""
 
 
 @dataclass(frozen=True)
 class Fix:
-    """A submap by the anchors beside it: place (2,) on the ground of the world, height, and the angle there of the x
-    axis of its frame, counter-clockwise from x, radians; with a standard deviation each that no number of anchors makes
-    smaller, because those of a receiver err together.
+    """A submap by the anchors beside it: place (2,) on the ground of the world, height, R_odom_submap (3, 3), and the
+    angle there of the x axis of its odometry frame, counter-clockwise from x, radians; with a standard deviation each
+    that no number of anchors makes smaller, because those of a receiver err together.
     """
 
     place: Array64
     height_m: float
-    heading_rad: float
+    R_odom_submap: Array64
+    turn_rad: float
     sigma_m: float
     sigma_up_m: float
     sigma_rad: float
@@ -128,6 +137,36 @@ class AnchoredDrive:
         stretches = [rows for along_m in some if len(rows := self._rows(along_m, STRETCH_M)) > LEAST_BESIDE]
         return bool(np.mean([self._is_as_driven(rows) for rows in stretches] or [True]) >= LEAST_SHARE)
 
+    @cached_property
+    def jumps_m(self) -> Array64:
+        """The places (j,) along the drive where the errors of anchors jump, by more than they state, and stay so."""
+        rows = self._rows(0.0, np.inf)
+        sides = [
+            (rows[n - JUMP_SIDE : n], rows[n : n + JUMP_SIDE]) for n in range(JUMP_SIDE, len(rows) - JUMP_SIDE + 1)
+        ]
+        return np.array([self.anchor_along_m[after[0]] for before, after in sides if self._is_jump(before, after)])
+
+    def _is_jump(self, before: NDArray[np.int64], after: NDArray[np.int64]) -> bool:
+        """Whether each of two runs of anchors, one behind the other, puts most of the other elsewhere."""
+        if self.anchor_along_m[after[-1]] - self.anchor_along_m[before[0]] > 2.0 * BESIDE_M:
+            return False
+        return self._puts_elsewhere(before, after) and self._puts_elsewhere(after, before)
+
+    def _puts_elsewhere(self, some: NDArray[np.int64], others: NDArray[np.int64]) -> bool:
+        """Whether the drive, by some anchors, has most of the others elsewhere than they say."""
+        fitted = self._fitted(some)
+        if fitted.spread_m < 1e-6:
+            return False
+        driven, told = (values[others, :2] @ (1.0, 1.0j) for values in (self.points_odom, self.places))
+        ways = driven - fitted.driven
+        off_m = np.abs(told - fitted.told - ways * np.exp(1j * fitted.turn))
+        sigma_m = self._apart_m(some, fitted) * np.hypot(1.0, np.abs(ways) / fitted.spread_m)
+        return bool(np.median(off_m - SIGMAS * np.hypot(sigma_m, self.sigmas_m[others])) > OWN_ERROR_M)
+
+    def _apart_m(self, rows: NDArray[np.int64], fitted: _Fitted) -> float:
+        """The standard deviation of a place by some anchors: as stated, and as the best of them differ."""
+        return float(np.hypot(np.median(self.sigmas_m[rows]), np.sqrt(np.mean(fitted.off_m[fitted.best] ** 2))))
+
     def _rows(self, along_m: float, reach_m: float) -> NDArray[np.int64]:
         """The anchors that count within reach of a place of the drive, in its order."""
         first, last = np.searchsorted(self.anchor_along_m, (along_m - reach_m, along_m + reach_m))
@@ -135,25 +174,27 @@ class AnchoredDrive:
         return np.asarray(first + np.flatnonzero(np.diff(parts, prepend=-np.inf)))
 
     def fix(self, ordinal: int) -> Fix | None:
-        """Where anchors put a submap; None where too few lie beside it, or too near each other to tell a heading."""
+        """Where anchors put a submap; None where too few lie beside it, too near each other to tell a heading, or not
+        far from a jump of their errors.
+        """
         rows = self._rows(self.along_m[ordinal], BESIDE_M)
-        if len(rows) < LEAST_BESIDE:
+        if len(rows) < LEAST_BESIDE or (np.abs(self.jumps_m - self.along_m[ordinal]) < JUMP_REACH_M).any():
             return None
         rows = rows[np.argsort(np.abs(self.anchor_along_m[rows] - self.along_m[ordinal]), kind="stable")[:MOST_BESIDE]]
         fitted = self._fitted(rows)
         if fitted.spread_m < LEAST_SPREAD_M:
             return None
-        apart_m = float(np.hypot(np.median(self.sigmas_m[rows]), np.sqrt(np.mean(fitted.off_m[fitted.best] ** 2))))
+        apart_m = self._apart_m(rows, fitted)
         turn_sigma = apart_m / fitted.spread_m
         T_odom_submap = self.T_odom_submap[ordinal]
         way = complex(T_odom_submap[:2, 3] @ (1.0, 1.0j)) - fitted.driven
         place = fitted.told + way * np.exp(1j * fitted.turn)
-        heading = fitted.turn + float(np.arctan2(T_odom_submap[1, 0], T_odom_submap[0, 0]))
         rise_m, unsure_m = self._rise_m(ordinal, rows[fitted.best])
         return Fix(
             np.array([place.real, place.imag]),
             float(T_odom_submap[2, 3] + rise_m),
-            heading,
+            T_odom_submap[:3, :3],
+            fitted.turn,
             float(np.hypot(apart_m, turn_sigma * abs(way))),
             float(np.hypot(np.median(self.sigmas_up_m[rows]), unsure_m)),
             turn_sigma,
@@ -186,7 +227,7 @@ class AnchoredDrive:
             off_m = np.abs(b - a * np.exp(1j * turn))
             spread_m = float(np.sqrt(np.mean(np.abs(a[best]) ** 2)))
             found = _Fitted(best, off_m, turn, *centres, spread_m)
-            best = off_m <= np.quantile(off_m, OWN_SHARE)
+            best = off_m <= max(np.quantile(off_m, OWN_SHARE), np.sort(off_m)[:LEAST_BESIDE][-1])
         return found
 
 

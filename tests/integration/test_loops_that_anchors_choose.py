@@ -12,6 +12,7 @@ from revisit.core.geometry import se3
 from revisit.core.geometry.se3 import pose_matrix, pose_row
 from revisit.core.pair_verdict import Authority, VerifiedLoop
 from revisit.service.domain.identity import SessionKey
+from revisit.service.features.recognition import beside_anchors
 from tests.integration.test_recalled_loops import MAP, Geometry, Town
 from tests.support.fleet_in_service import fleet_in
 from tests.support.made_up_anchors import new_anchors, with_stamps
@@ -60,6 +61,14 @@ class RepeatingTown(Town):
         await self.optimised(geometry)
         return geometry
 
+    async def without_anchors(self, *sessions):
+        for session in sessions:
+            for one in self.read(lambda uow, its=session: uow.anchors.find(TENANT, map_id=MAP, session_id=its)):
+                await self.world.use_cases.anchors.delete(TENANT, MAP, session, one.anchor_id)
+
+    def changed(self, work):
+        self.world.context.transactions.write(work).result()
+
     @property
     def accepted(self):
         return [one for one in self.loops() if one.state == "ACCEPTED"]
@@ -99,9 +108,7 @@ async def test_anchors_of_centimetres_choose_the_true_poses_and_the_drives_join(
 async def test_loops_are_ambiguous_again_once_the_anchors_are_gone_and_return_with_them(town):
     await town.anchored(0.02)
     chosen = {one.loop_id for one in town.accepted}
-    anchors = town.read(lambda uow: uow.anchors.find(TENANT, map_id=MAP, session_id="s1"))
-    for one in anchors:
-        await town.world.use_cases.anchors.delete(TENANT, MAP, "s1", one.anchor_id)
+    await town.without_anchors("s1")
     await town.optimised(Lattice())
     assert town.accepted == [] and town.frames == 2
     lost = town.loop(next(one for one in town.right if one.loop_id in chosen))
@@ -122,3 +129,60 @@ async def test_anchors_that_err_by_half_a_period_choose_none(town, sigma_m, shif
 async def test_a_pair_that_does_not_pass_at_the_chosen_pose_stays_ambiguous(town):
     await town.anchored(0.02, geometry=Geometry(blind=True))
     assert town.accepted == [] and town.loop(town.right[0]).reason == "AMBIGUOUS"
+
+
+async def test_loops_are_withdrawn_in_a_map_that_has_no_other_rejected_ones_and_keeps_few_versions():
+    town = RepeatingTown(memory_world(optimise_after_loops=1, map_versions_kept=1))
+    await town.anchored(0.02)
+    chosen, others = town.accepted, [one for one in town.loops() if one.state == "REJECTED"]
+    town.changed(lambda uow: [uow.loops.replace(replace(one, manual=True)) for one in others])
+    await town.without_anchors("s0", "s1")
+    await town.optimised(Lattice())
+    assert len(chosen) >= 10 and town.accepted == []
+
+
+async def test_a_loop_on_which_a_person_decided_stays_as_they_left_it(town):
+    await town.anchored(0.02)
+    dropped, back, *_ = town.accepted
+    people = town.world.use_cases.loop_decisions
+    await people.reject(TENANT, MAP, dropped.loop_id)
+    await people.reject(TENANT, MAP, back.loop_id)
+    await people.revert(TENANT, MAP, back.loop_id)
+    await town.optimised(Lattice())
+    assert (town.loop(dropped).state, town.loop(back).state) == ("REJECTED", "ACCEPTED")
+    await town.without_anchors("s0", "s1")
+    await town.optimised(Lattice())
+    assert {one.loop_id for one in town.accepted} == {back.loop_id}
+
+
+async def test_chosen_loops_are_withdrawn_once_loops_that_geometry_is_sure_of_contradict_the_anchors(town):
+    await town.anchored(0.02)
+    chosen = town.accepted
+    T_aside = se3.from_yaw(0.0, (PERIOD_M, 0.0, 0.0))
+    sure = [
+        replace(
+            one,
+            T_match_query=pose_row(T_aside @ pose_matrix(one.T_match_query)),
+            evidence={name: its for name, its in one.evidence.items() if name != "support"},
+        )
+        for one in chosen[:4]
+    ]
+    town.changed(lambda uow: [uow.loops.replace(one) for one in sure])
+    await town.optimised(Lattice())
+    assert {one.loop_id for one in town.accepted} == {one.loop_id for one in sure}
+
+
+async def test_a_version_that_is_brought_back_and_one_after_it_keep_the_chosen_loops(town):
+    await town.anchored(0.02)
+    chosen = {one.loop_id for one in town.accepted}
+    await town.world.use_cases.map_versions.revert(TENANT, MAP, 1)
+    await town.optimised(Lattice())
+    assert {one.loop_id for one in town.accepted} == chosen and town.frames == 1
+
+
+async def test_the_graph_of_a_map_without_anchors_is_not_read(town, monkeypatch):
+    """Its loops are as many as before, and none is asked about."""
+    read = []
+    monkeypatch.setattr(beside_anchors, "read_task", lambda *_: read.append(1))
+    await town.optimised(Lattice())
+    assert town.accepted == [] and read == []

@@ -163,11 +163,15 @@ class AnchoredSubmaps:
         nodes = _nodes(graph)
         return cls(nodes, AnchorsForLoops(_drives(graph), _anchors(nodes, fixed)))
 
-    def pair(
-        self, number: int, match: int, query: int, poses: tuple[Matrix4, ...], *, accepted: bool = False
-    ) -> OpenPair:
-        """The pair of loop `number` between two submaps, and the poses T_match_query (4, 4) that fit it."""
-        return OpenPair(str(number), self.nodes[match], self.nodes[query], poses, accepted)
+    def pair(self, number: int, match: int, query: int, poses: tuple[Matrix4, ...]) -> OpenPair:
+        """The pair of ambiguous loop `number` between two submaps, and the poses T_match_query (4, 4) that fit it."""
+        return OpenPair(str(number), self.nodes[match], self.nodes[query], poses)
+
+    def accepted(self, number: int, match: int, query: int, poses: tuple[Matrix4, ...], by_anchors: bool) -> OpenPair:
+        """As `pair`, of an accepted loop, which has the first pose; anchors chose it, or did not."""
+        if by_anchors:
+            return replace(self.pair(number, match, query, poses), chosen=True)
+        return replace(self.pair(number, match, query, poses[:1]), accepted=True)
 
     def is_within(self, match: int, query: int, reach_m: float) -> bool:
         """Whether anchors put two submaps so near to each other."""
@@ -175,10 +179,6 @@ class AnchoredSubmaps:
             return False
         apart_m = self.asked.apart_m(self.nodes[match], self.nodes[query])
         return apart_m is not None and apart_m <= reach_m
-
-    def agree(self, match: int, query: int, T_match_query: Matrix4) -> bool:
-        """Whether anchors put a query at this pose (4, 4)."""
-        return self.asked.agree(self.nodes[match], self.nodes[query], T_match_query)
 
 
 def _nodes(graph: MapGraph) -> dict[int, Node]:

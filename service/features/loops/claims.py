@@ -130,9 +130,10 @@ def claim_of_row(loop: LoopRecord, query: SubmapRecord, match: SubmapRecord) -> 
 
 
 def poses_of(loop: LoopRecord) -> tuple[Matrix4, ...]:
-    """The poses T_match_query (4, 4) of a stored loop that has one: its own, and the rivals."""
-    measured = _measurement_from(loop)
-    return (measured.T_match_query, *(rival.T_match_query for rival in measured.rivals))
+    """The poses T_match_query (4, 4) of a stored loop that has one: its own, the rivals, and those ruled out."""
+    measured, support = _measurement_from(loop), _support_from(loop.evidence.get("support"))
+    ruled_out = () if support is None else support.ruled_out
+    return (measured.T_match_query, *(rival.T_match_query for rival in measured.rivals), *ruled_out)
 
 
 def is_by_anchors(loop: LoopRecord) -> bool:

@@ -17,6 +17,7 @@ from revisit.service.domain.identity import TenantId
 from revisit.service.domain.policy import Policy
 from revisit.service.domain.records import LoopRecord
 from revisit.service.features.graph.anchors import AnchoredSubmaps
+from revisit.service.features.graph.map_jobs import is_or_was_anchored
 from revisit.service.features.graph.reading import MapTask, read_task
 from revisit.service.features.loops.claims import is_by_anchors, poses_of
 from revisit.service.ports.repositories import LoopEnds
@@ -61,17 +62,15 @@ def loops_by_anchors(
     if task is None:
         return ByAnchors()
     submaps = AnchoredSubmaps.of(task.graph, task.graph.fixed)
-    lost = list(_lost(transactions, tenant, task, submaps))
-    accepted = [
-        submaps.pair(one.number, one.match, one.query, (one.T_match_query,), accepted=True) for one in task.graph.loops
-    ]
+    standing = list(_standing(transactions, tenant, task, submaps))
     ambiguous = list(_ambiguous(transactions, tenant, map_id, submaps, is_tested)) if task.graph.fixed else []
-    rows = submaps.asked.chosen([*accepted, *(one.pair for one in ambiguous)])
+    rows = submaps.asked.chosen([*standing, *(one.pair for one in ambiguous)])
     found = [
         (one, one.chosen(rows[one.pair.name]))
         for one in sorted(ambiguous, key=lambda one: -one.similarity)
         if one.pair.name in rows and rows[one.pair.name] not in one.tested
     ]
+    lost = [int(pair.name) for pair in standing if pair.chosen and pair.name not in rows]
     return ByAnchors([chosen for _, chosen in found], lost)
 
 
@@ -90,12 +89,8 @@ class _Ambiguous:
 
 
 def _task_with_anchors(uow: UnitOfWork, policy: Policy, tenant: TenantId, map_id: str) -> MapTask | None:
-    """A map that has anchors, or had them in a version that is kept."""
-    versions = uow.map_versions.count
-    had_some = versions(tenant, map_id=map_id, anchors=None) < versions(tenant, map_id=map_id)
-    if had_some or uow.anchors.find(tenant, limit=1, map_id=map_id):
-        return read_task(uow, policy, tenant, map_id)
-    return None
+    """A map that has anchors, or had some."""
+    return read_task(uow, policy, tenant, map_id) if is_or_was_anchored(uow, tenant, map_id) else None
 
 
 def _ambiguous(
@@ -128,13 +123,18 @@ def _is_open(loop: LoopRecord) -> bool:
     return loop.T_match_query is not None and not _REFUTED & loop.evidence.get("doubts", {}).keys()
 
 
-def _lost(transactions: Transactions, tenant: TenantId, task: MapTask, submaps: AnchoredSubmaps) -> Iterator[int]:
-    """The accepted loops that anchors chose and do not agree with now, by number."""
-    against = [one.number for one in task.graph.loops if not submaps.agree(one.match, one.query, one.T_match_query)]
-    for start in range(0, len(against), LOOPS_AT_ONCE):
-        some = against[start : start + LOOPS_AT_ONCE]
-        yield from transactions.read(partial(_by_anchors, tenant=tenant, numbers=some)).result()
+def _standing(
+    transactions: Transactions, tenant: TenantId, task: MapTask, submaps: AnchoredSubmaps
+) -> Iterator[OpenPair]:
+    """The accepted loops of a map, and which of them anchors chose."""
+    numbers = [one.number for one in task.graph.loops]
+    for start in range(0, len(numbers), LOOPS_AT_ONCE):
+        read = partial(_numbered, tenant=tenant, numbers=numbers[start : start + LOOPS_AT_ONCE])
+        for loop in transactions.read(read).result():
+            yield submaps.accepted(
+                loop.number, loop.match_number, loop.query_number, poses_of(loop), is_by_anchors(loop)
+            )
 
 
-def _by_anchors(uow: UnitOfWork, tenant: TenantId, numbers: list[int]) -> list[int]:
-    return [number for number, loop in uow.loops.numbered(tenant, numbers).items() if is_by_anchors(loop)]
+def _numbered(uow: UnitOfWork, tenant: TenantId, numbers: list[int]) -> list[LoopRecord]:
+    return list(uow.loops.numbered(tenant, numbers).values())

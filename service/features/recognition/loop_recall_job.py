@@ -161,7 +161,9 @@ def loops_to_recall(
     Those beside faults of odometry and those that anchors choose come first. Read page by page, so that a large map
     holds up nobody.
     """
-    chosen = transactions.read(partial(_chosen, tenant=tenant, map_id=map_id, by_anchors=by_anchors)).result()
+    chosen = []
+    if by_anchors:
+        chosen = transactions.read(partial(_chosen, tenant=tenant, map_id=map_id, by_anchors=by_anchors)).result()
     steps = MendedSteps()
     page = partial(_beside_faults, policy=policy, tenant=tenant, map_id=map_id, steps=steps)
     beside = _found(transactions, page, progress)

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from revisit.core.geometry import se3
+from revisit.core.pose_graph.anchored_drive import AnchoredDrive
 from revisit.core.pose_graph.anchors import Anchor
 from revisit.core.pose_graph.anchors_for_loops import AnchorsForLoops, OpenPair
 from revisit.core.pose_graph.graph import Node
@@ -140,8 +141,66 @@ def test_reflections_of_a_fifth_of_the_fixes_choose_nothing_wrong():
     assert set(chosen([*fixes("a", 0.03), *wrong]).values()) <= {0}
 
 
-def test_anchors_agree_with_a_pose_where_they_put_it():
-    asked = AnchorsForLoops(DRIVES, [*fixes("a", 0.03), *fixes("b", 0.03)])
-    for one in pairs():
-        assert [asked.agree(one.match, one.query, pose) for pose in one.poses] == [True, False, False]
-    assert not AnchorsForLoops(DRIVES, fixes("a", 0.03)).agree(Node("a", 3), Node("b", 3), np.eye(4))
+def on(anchors, off):
+    """Anchors whose places are wrong by off(ordinal), metres along drive a."""
+    ahead = T_WORLD_A[:3, 0]
+    return [replace(one, place_world=one.place_world + off(one.node.ordinal) * ahead) for one in anchors]
+
+
+A, B = fixes("a", 0.03), fixes("b", 0.03)
+
+
+def test_a_loop_that_anchors_chose_stays_where_they_put_it_and_only_there():
+    some = [replace(one, chosen=True) for one in pairs()]
+    assert chosen([*A, *B], some) == {one.name: 0 for one in some}
+    moved = replace(some[0], poses=(se3.from_yaw(0.0, (1.5, 0.0, 0.0)) @ some[0].poses[0], *some[0].poses[1:]))
+    assert some[0].name not in chosen([*A, *B], [moved, *some[1:]])
+    assert chosen(A, some) == {}
+
+
+def test_loops_that_anchors_chose_are_no_evidence_for_anchors():
+    """A base station a period off has chosen many; few loops that geometry is sure of contradict it."""
+    some = [replace(one, chosen=True, poses=(one.poses[1], one.poses[0])) for one in pairs(ordinals=range(30))]
+    sure = [replace(one, name=f"sure{one.name}", poses=one.poses[:1], accepted=True) for one in pairs((0,))[:5]]
+    wrong = on(B, lambda _: PERIOD_M)
+    assert len(chosen([*A, *wrong], some)) == 30 and chosen([*A, *wrong], [*some, *sure]) == {}
+
+
+@pytest.mark.parametrize("off_m", [1.0, 1.5, 2.0, 2.5])
+def test_a_base_station_that_is_off_by_nearly_a_period_chooses_none(off_m):
+    assert chosen([*A, *on(B, lambda _: off_m)], pairs(period_m=3.0)) == {}
+
+
+@pytest.mark.parametrize("period_m", [3.0, 6.0])
+def test_a_receiver_that_is_wrong_by_a_period_for_a_minute_chooses_nothing_wrong(period_m):
+    off = on(B, lambda n: period_m * (10 <= n < 24))
+    assert set(chosen([*A, *off], pairs(period_m=period_m, ordinals=range(30))).values()) <= {0}
+
+
+@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("walk_m", [0.5, 3.0])
+def test_a_receiver_whose_errors_wander_and_are_not_stated_chooses_nothing_wrong(walk_m, seed):
+    off = np.cumsum(np.random.default_rng(seed).normal(0.0, walk_m / np.sqrt(SUBMAPS), SUBMAPS))
+    some = pairs((0, 1, -1, 2, -2), period_m=3.0, ordinals=range(30))
+    assert set(chosen([*A, *on(B, lambda n: off[n])], some).values()) <= {0}
+
+
+def test_three_control_points_of_which_one_was_misread_are_not_sure():
+    points = [replace(one, place_world=one.place_world + (0.0, 6.0 * (one.node.ordinal == 13), 0.0)) for one in B]
+    drive_b = AnchoredDrive.of(DRIVES["b"], [points[n] for n in (5, 9, 13)])
+    assert drive_b.fix(9).sigma_m > 0.5
+    right = AnchoredDrive.of(DRIVES["b"], [B[n] for n in (5, 9, 13)])
+    assert right.fix(9).sigma_m < 0.1
+
+
+@pytest.mark.parametrize(
+    "tilt", [(0.0, -0.5, 0.0), (np.pi / 2, 0.0, 0.0)], ids=["a slanting sensor", "one on its side"]
+)
+def test_a_sensor_that_does_not_stand_upright_chooses_as_well(tilt, monkeypatch):
+    T_submap_sensor = se3.exp(np.array([0.0, 0.0, 0.0, *tilt]))
+    upright, back = pairs((0, 1, -1)), se3.inverse(T_submap_sensor)
+    some = [replace(one, poses=tuple(back @ T @ T_submap_sensor for T in one.poses)) for one in upright]
+    monkeypatch.setattr(
+        "tests.unit.core.test_anchors_for_loops.DRIVES", {name: T @ T_submap_sensor for name, T in DRIVES.items()}
+    )
+    assert chosen([*A, *B], some) == {one.name: 0 for one in some}
