@@ -210,6 +210,38 @@ async def test_a_slip_that_doubted_loops_show_and_surfaces_do_not_decide_is_told
     assert (summary["frames"], codes) == (2, ["odometry_undecided"])
 
 
+class DoubtedBetween(Drives):
+    """Drives of which one has slipped over three steps; right loops of the submaps around these are ambiguous."""
+
+    def silenced(self, loop) -> Iterator:
+        for changed in super().silenced(loop):
+            is_around = all(26 < at < 34 for at in self.at_of_s1(loop))
+            doubts = {"PAIRWISE_INCONSISTENT": {}} if is_around else {"BETTER": {}}
+            yield replace(changed, evidence=loop.evidence | {"doubts": doubts})
+
+
+class AroundTheStep(Surfaces):
+    """Surfaces that are seen beside some submaps alone."""
+
+    def __init__(self, truth: dict[int, np.ndarray], seen: set[int]) -> None:
+        super().__init__(truth)
+        self._seen = seen
+
+    def audit(self, first, second, surfaces, scale, most, progress) -> MergeEvidence:
+        """Of other submaps no point is common."""
+        found = super().audit(first, second, surfaces, scale, most, progress)
+        return replace(found, common_points=0) if self._seen.isdisjoint(first) and most == FAULT_PAIRS else found
+
+
+async def test_doubted_loops_tell_where_an_undecided_fault_lies_so_that_surfaces_decide():
+    drives = DoubtedBetween(slipped=True, made=partial(slipped_fleet_in, sessions=3, steps=3))
+    around = {number for number, (session, at) in drives.submaps.items() if session == "s1" and 24 < at < 36}
+    drives.world.merger = AroundTheStep(drives.truth(), around)
+    summary, codes, off_m, _ = await drives.optimised()
+    assert (summary["frames"], summary["loops_set_aside"], off_m < 0.5) == (1, 0, True)
+    assert ([one["undecided"] for one in summary["odometry_faults"]], codes) == ([False], ["odometry_slip"])
+
+
 class Mostly(Surfaces):
     """Surfaces of drives that agree but for some submaps, too few for the audit of a join."""
 

@@ -76,13 +76,17 @@ def _described(blobs: BlobStore, tenant: TenantId, T_world_submap: np.ndarray) -
 
 
 def slipped_fleet_in(
-    world: World, map_id: str, tenant: TenantId = TENANT, *, with_places: bool = False, sessions: int = 2
-) -> FleetInService:
-    """Store drives with right loops all along, of which `s1` has lost 5 m at its submap 30. See `fleet_in`."""
+    world: World, map_id: str, tenant: TenantId = TENANT, *, with_places: bool = False, sessions: int = 2,
+    steps: int = 1,
+) -> FleetInService:  # fmt: skip
+    """Store drives with right loops all along, of which `s1` has lost 5 m at its submap 30, or by even shares in so
+    many `steps` that end there. See `fleet_in`.
+    """
 
     def slipped(poses: np.ndarray) -> np.ndarray:
-        back = se3.from_yaw(0.0, (-5.0, 0.0, 0.0))
-        return np.concatenate([poses[:30], poses[29] @ back @ se3.inverse(poses[29]) @ poses[30:]])
+        shares = np.clip((np.arange(len(poses)) - 30 + steps) / steps, 0.0, 1.0)
+        ways = [se3.from_yaw(0.0, (-5.0 * share, 0.0, 0.0)) for share in shares]
+        return poses[29] @ np.stack(ways) @ se3.inverse(poses[29]) @ poses
 
     return _faulty_fleet_in(world, map_id, slipped, tenant, with_places=with_places, sessions=sessions)
 

@@ -131,7 +131,8 @@ class JoinAudit:
     ) -> tuple[OptimisedMap, tuple[RefusedJoin, ...]]:  # fmt: skip
         """A solution some of whose `joins` surfaces refuse, and these; or the one with faults of odometry that doubted
         loops show and surfaces decide, where they refuse nothing with it, and more loops hold: the next version
-        compares them again, as those loops may not be accepted. Where drives are kept apart the faults are told.
+        compares them again, as those loops may not be accepted. An undecided fault lies where doubted loops show it:
+        those beside it are among them. Where drives are kept apart the faults are told.
         """
         sessions, doubted = self._doubted(task, optimised, joins)
         if not doubted or not sessions:
@@ -139,16 +140,18 @@ class JoinAudit:
         graph = replace(task.graph, loops=(*task.graph.loops, *doubted), refused=refused)
         found = self._optimiser.by_loops(graph, progress).held(fixed)
         mended = found.otherwise or found
-        broken = [one for one in found.faults if one.kind.is_at_once and not any(map(one.is_beside, optimised.faults))]
-        faults = (*optimised.faults, *(replace(one, undecided=True) for one in broken))
+        known = tuple(one for one in optimised.faults if not one.undecided)
+        broken = [one for one in found.faults if one.kind.is_at_once and not any(map(one.is_beside, known))]
+        before = [one for one in optimised.faults if one.undecided and not any(map(one.is_beside, broken))]
+        faults = (*known, *(replace(one, undecided=True) for one in broken))
         doubtful = replace(optimised, faults=faults, otherwise=mended if broken else None)
         other = asked.decided(doubtful, replace(task, graph=graph))
-        is_decided = sum(not one.undecided for one in other.faults) > sum(not one.undecided for one in optimised.faults)
+        is_decided = sum(not one.undecided for one in other.faults) > len(known)
         if is_decided and _in_map(other) > _in_map(optimised) and not asked.refused(other, sessions):
             asked_again = dict.fromkeys(sessions, 0)
             return replace(other, loops=other.loops[: len(task.graph.loops)], audited=asked_again), ()
         told = faults if is_decided else other.faults
-        return replace(optimised, faults=told) if joins else optimised, joins
+        return replace(optimised, faults=(*told, *before)) if joins else optimised, joins
 
     def _doubted(
         self, task: MapTask, optimised: OptimisedMap, joins: tuple[RefusedJoin, ...]
