@@ -172,17 +172,23 @@ async def test_chosen_loops_are_withdrawn_once_loops_that_geometry_is_sure_of_co
     assert {one.loop_id for one in town.accepted} == {one.loop_id for one in sure}
 
 
-async def test_a_version_that_is_brought_back_and_one_after_it_keep_the_chosen_loops(town):
-    await town.anchored(0.02)
-    chosen = {one.loop_id for one in town.accepted}
-    await town.world.use_cases.map_versions.revert(TENANT, MAP, 1)
-    await town.optimised(Lattice())
-    assert {one.loop_id for one in town.accepted} == chosen and town.frames == 1
-
-
 async def test_the_graph_of_a_map_without_anchors_is_not_read(town, monkeypatch):
     """Its loops are as many as before, and none is asked about."""
     read = []
     monkeypatch.setattr(beside_anchors, "read_task", lambda *_: read.append(1))
     await town.optimised(Lattice())
     assert town.accepted == [] and read == []
+
+
+async def test_a_second_loop_of_a_submap_waits_until_the_others_have_one(town):
+    first = town.loop(town.right[0])
+    more = [replace(first, loop_id=f"more{n}", number=0, seq=0, similarity=0.99) for n in range(4)]
+    town.changed(lambda uow: uow.loops.add_all(more))
+    for name in ("s0", "s1"):
+        await town.world.use_cases.anchors.post(TENANT, SessionKey(MAP, name), new_anchors(town.made, name, 0.02))
+    context = town.world.context
+    found = beside_anchors.loops_by_anchors(context.transactions, context.policy, TENANT, MAP, lambda *_: False).chosen
+    loops = town.read(lambda uow: uow.loops.numbered(TENANT, [one.number for one in found]))
+    queries = [loops[one.number].query_number for one in found]
+    several = len({*queries})
+    assert len(found) > several > 5 and len({*queries[:several]}) == several

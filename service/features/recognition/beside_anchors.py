@@ -6,7 +6,8 @@ then registered from there (docs/decisions/0362).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from functools import partial
 
@@ -43,8 +44,8 @@ class ChosenLoop:
 
 @dataclass(frozen=True)
 class ByAnchors:
-    """Loops that anchors choose, the most similar first; and the numbers of accepted ones that they chose before and do
-    not agree with now.
+    """Loops that anchors choose, of submaps with the fewest loops first; and the numbers of accepted ones that they
+    chose before and do not choose now.
     """
 
     chosen: list[ChosenLoop] = field(default_factory=list)
@@ -65,13 +66,9 @@ def loops_by_anchors(
     standing = list(_standing(transactions, tenant, task, submaps))
     ambiguous = list(_ambiguous(transactions, tenant, map_id, submaps, is_tested)) if task.graph.fixed else []
     rows = submaps.asked.chosen([*standing, *(one.pair for one in ambiguous)])
-    found = [
-        (one, one.chosen(rows[one.pair.name]))
-        for one in sorted(ambiguous, key=lambda one: -one.similarity)
-        if one.pair.name in rows and rows[one.pair.name] not in one.tested
-    ]
+    found = [one for one in ambiguous if one.pair.name in rows and rows[one.pair.name] not in one.tested]
     lost = [int(pair.name) for pair in standing if pair.chosen and pair.name not in rows]
-    return ByAnchors([chosen for _, chosen in found], lost)
+    return ByAnchors([one.chosen(rows[one.pair.name]) for one in _in_turn(found, standing)], lost)
 
 
 @dataclass(frozen=True)
@@ -86,6 +83,15 @@ class _Ambiguous:
         """With the pose in a row."""
         others = (*self.pair.poses[:row], *self.pair.poses[row + 1 :])
         return ChosenLoop(int(self.pair.name), self.pair.poses[row], others)
+
+
+def _in_turn(found: Iterable[_Ambiguous], standing: Iterable[OpenPair]) -> list[_Ambiguous]:
+    """Each query in its turn, the most similar loop first: a version tests few, and a second of a query tells less."""
+    loops, turns = Counter(pair.query for pair in standing), list[tuple[int, _Ambiguous]]()
+    for one in sorted(found, key=lambda one: -one.similarity):
+        turns.append((loops[one.pair.query], one))
+        loops[one.pair.query] += 1
+    return [one for _, one in sorted(turns, key=lambda turn: turn[0])]
 
 
 def _task_with_anchors(uow: UnitOfWork, policy: Policy, tenant: TenantId, map_id: str) -> MapTask | None:
