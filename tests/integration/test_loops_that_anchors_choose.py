@@ -99,7 +99,7 @@ async def test_anchors_of_centimetres_choose_the_true_poses_and_the_drives_join(
         true = pose_matrix(town.true[loop.loop_id].T_match_query)
         assert np.linalg.norm((pose_matrix(loop.T_match_query) - true)[:3, 3]) < 1e-6
         assert loop.graph_state == "IN_MAP" and loop.evidence["support"]["on_earth"]
-        assert "anchors beside both agree with this one alone" in loop.evidence["support"]["words"]
+        assert "anchors beside both submaps agree with this one alone" in loop.evidence["support"]["words"]
     assert {one.authority for one in geometry.asked} == {Authority.DECIDES}
     last = [one for one in town.events(chosen[0]) if one.kind == "VERIFIED"][-1]
     assert "where anchors put the two submaps" in last.note

@@ -80,3 +80,8 @@ def test_a_loop_with_support_keeps_the_doubts_that_support_overrules_and_loses_t
 
     decided = with_support([*[loop(place) for place in range(3)], asked], CONFIG, STRIDE_M, near)[3]
     assert decided.accepted and decided.doubts.keys() == {Doubt.PAIRWISE_INCONSISTENT}
+
+
+def test_anchors_that_side_with_a_doubted_pose_say_so_and_not_that_no_other_pose_fits():
+    alone, among = (Support(0, 0, 0.0, poses, on_earth=True) for poses in ((), (np.eye(4),)))
+    assert "loops beside it had doubted it" in alone.words and "fit as well; anchors beside both submaps" in among.words
