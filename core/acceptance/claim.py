@@ -60,7 +60,9 @@ class Support:
         if self.on_earth and not self.ruled_out:
             return "loops beside it had doubted it; anchors beside both submaps agree with its pose"
         if self.on_earth:
-            return f"{len(self.ruled_out)} other poses fit as well; anchors beside both submaps agree with this one alone"
+            return (
+                f"{len(self.ruled_out)} other poses fit as well; anchors beside both submaps agree with this one alone"
+            )
         return (
             f"{len(self.ruled_out)} other poses fit as well; accepted loops of {self.anchors} submaps beside it, "
             f"{self.agreeing} loops over {self.along_m:.0f} m of both drives, agree with this one alone"
