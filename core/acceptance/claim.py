@@ -44,8 +44,9 @@ class Support:
     """Claims beside an ambiguous one that single out its pose.
 
     anchors: submaps of the query's drive whose accepted loops agree; agreeing: all loops that do; along_m: metres of
-    both drives that they cover; ruled_out: the other poses T_match_query (4, 4) that had fitted as well. on_earth: no
-    claims single it out, but the places on earth of both drives (docs/decisions/0362).
+    both drives that they cover; ruled_out: the other poses T_match_query (4, 4) that had fitted as well. No claims
+    single it out, but: on_earth, the places on earth of both drives (docs/decisions/0362); own_odometry, that of the
+    one drive of both submaps, over `along_m` of way (docs/decisions/0364).
     """
 
     anchors: int
@@ -53,6 +54,17 @@ class Support:
     along_m: float
     ruled_out: tuple[Matrix4, ...]
     on_earth: bool = False
+    own_odometry: bool = False
+
+    @property
+    def by_claims(self) -> bool:
+        """Whether other claims single it out, which may be contradicted later."""
+        return not (self.on_earth or self.own_odometry)
+
+    @property
+    def is_help(self) -> bool:
+        """Whether it counts against doubts: odometry chooses among poses, and is no witness of the place."""
+        return not self.own_odometry
 
     @property
     def words(self) -> str:
@@ -62,6 +74,11 @@ class Support:
         if self.on_earth:
             return (
                 f"{len(self.ruled_out)} other poses fit as well; anchors beside both submaps agree with this one alone"
+            )
+        if self.own_odometry:
+            return (
+                f"{len(self.ruled_out)} other poses fit as well; odometry since then, over at least "
+                f"{self.along_m:.0f} m, agrees with this one alone"
             )
         return (
             f"{len(self.ruled_out)} other poses fit as well; accepted loops of {self.anchors} submaps beside it, "
@@ -131,18 +148,23 @@ class LoopClaim:
 
     @property
     def _stands(self) -> bool:
-        contradicted = self.support is None and not self.doubts.keys() <= {Doubt.AWAITS_CHAIN}
+        contradicted = not self.helped and not self.doubts.keys() <= {Doubt.AWAITS_CHAIN}
         return isinstance(self.verdict, VerifiedLoop) and not contradicted
+
+    @property
+    def helped(self) -> bool:
+        """Whether others single out its pose, in spite of doubts."""
+        return self.support is not None and self.support.is_help
 
     @property
     def accepted_by_itself(self) -> bool:
         """Whether it is a loop without the help of others."""
-        return self.accepted and self.support is None
+        return self.accepted and not self.helped
 
     @property
     def decided_by_others(self) -> bool:
         """Whether it is a loop for the sake of others."""
-        return self.accepted and self.support is not None
+        return self.accepted and self.helped
 
     @property
     def reason(self) -> RejectionReason | None:

@@ -71,7 +71,7 @@ def find_support(
     near = _within_reach(neighbours, config)
     for row, T_match_query in enumerate(hypotheses):
         others = [*hypotheses[:row], *hypotheses[row + 1 :]]
-        telling = [one for one in near if _tells_apart(T_match_query, others, one, config)]
+        telling = [one for one in near if tells_apart(T_match_query, others, one, config)]
         anchors = len({one.query_m for one in telling if one.accepted})
         contradicted = any(one.accepted and not agrees(T_match_query, one, config) for one in near)
         if anchors < config.support_anchors or contradicted:
@@ -100,7 +100,7 @@ def _within_reach(neighbours: Sequence[NeighbourLoop], config: VerificationConfi
     return [one for one in neighbours if one.way_m <= config.support_reach]
 
 
-def _tells_apart(
+def tells_apart(
     hypothesis: se3.Matrix4, others: Sequence[se3.Matrix4], neighbour: NeighbourLoop, config: VerificationConfig
 ) -> bool:
     """Whether no pose can agree with a hypothesis and one of the others after odometry has carried it."""

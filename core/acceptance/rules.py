@@ -15,7 +15,7 @@ from revisit.core.acceptance.consistency import inconsistent
 from revisit.core.acceptance.consistent_share import REACH_M, low_consistent_share
 from revisit.core.acceptance.distinctiveness import with_distinctiveness
 from revisit.core.acceptance.radio import radio_refuted
-from revisit.core.acceptance.support import VerifyNear, with_support, without_lost_support
+from revisit.core.acceptance.support import VerifyNear, with_own_odometry, with_support, without_lost_support
 from revisit.core.config import PipelineConfig
 
 
@@ -62,7 +62,8 @@ def accept(new: Sequence[LoopClaim], drive: Drive, config: PipelineConfig, verif
     if not any(claim.hypotheses for claim in new):
         return Decided(list(new), {})
     known, rules = without_waiting(drive.claims), config.verification
-    claims = [*known, *_beside_others(new, known, config)]
+    told = with_own_odometry(new, rules, drive.stride_m, lambda row, near: verify_near(len(known) + row, near))
+    claims = [*known, *_beside_others(_with(new, told), known, config)]
     claims = _with(claims, low_consistent_share(claims, drive.stride_m))
     claims = _with(claims, inconsistent(claims, rules, drive.stride_m))
     claims = _with(claims, without_lost_support(claims, rules, drive.stride_m))

@@ -65,6 +65,9 @@ _JUDGED = ("doubts", "support")
 _OF_PASSED_PAIRS = RejectionReason.AMBIGUOUS, RejectionReason.AWAITS_CHAIN
 """Reasons of pairs that passed every check by themselves, if doubts say why they are no loops."""
 
+_WITNESSES = "on_earth", "own_odometry"
+"""Members of a support that other loops do not give."""
+
 _MOST_MATCHES = 1000
 
 
@@ -119,7 +122,7 @@ def claim_of_row(loop: LoopRecord, query: SubmapRecord, match: SubmapRecord) -> 
     support = _support_from(loop.evidence.get("support"))
     doubts = {Doubt(name): _grounds_from(stored) for name, stored in loop.evidence.get("doubts", {}).items()}
     accepted = loop.state == LoopState.ACCEPTED
-    if accepted and support is None:
+    if accepted and (support is None or not support.is_help):
         doubts = {}
     verdict: PairVerdict
     if accepted or (doubts and loop.reason in _OF_PASSED_PAIRS):
@@ -233,7 +236,7 @@ def support_evidence(support: Support) -> Evidence:
         "along_m": round(support.along_m, 3),
         "ruled_out": [pose.tolist() for pose in support.ruled_out],
         "words": support.words,
-        **({"on_earth": True} if support.on_earth else {}),
+        **{name: True for name in _WITNESSES if getattr(support, name)},
     }
 
 
@@ -241,7 +244,8 @@ def _support_from(stored: Evidence | None) -> Support | None:
     if stored is None:
         return None
     counts = stored["anchors"], stored["agreeing"], stored["along_m"]
-    return Support(*counts, tuple(_poses(stored["ruled_out"])), on_earth=stored.get("on_earth", False))
+    witnesses = {name: stored.get(name, False) for name in _WITNESSES}
+    return Support(*counts, tuple(_poses(stored["ruled_out"])), **witnesses)
 
 
 def _grounds_from(stored: Evidence) -> Grounds:

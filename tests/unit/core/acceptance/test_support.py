@@ -5,13 +5,15 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
-from revisit.core.acceptance import Doubt, LoopClaim, Support
-from revisit.core.acceptance.support import with_support, without_lost_support
+from revisit.core.acceptance import Doubt, LoopClaim, Station, Support
+from revisit.core.acceptance.support import with_own_odometry, with_support, without_lost_support
 from revisit.core.config import VerificationConfig
+from revisit.core.geometry import se3
 from revisit.core.verification import InitialPose, PairVerdict
-from tests.support.claims import STRIDE_M, along_x, at, doubted, pair
-from tests.support.verdicts import verified
+from tests.support.claims import STRIDE_M, WORDS, along_x, at, doubted, pair
+from tests.support.verdicts import rejected, verified
 
 CONFIG = VerificationConfig()
 PERIOD = along_x(16.0)
@@ -85,3 +87,51 @@ def test_a_loop_with_support_keeps_the_doubts_that_support_overrules_and_loses_t
 def test_anchors_that_side_with_a_doubted_pose_say_so_and_not_that_no_other_pose_fits():
     alone, among = (Support(0, 0, 0.0, poses, on_earth=True) for poses in ((), (np.eye(4),)))
     assert "loops beside it had doubted it" in alone.words and "fit as well; anchors beside both submaps" in among.words
+
+
+def returned(way_m: float, poses: list[np.ndarray], **told) -> LoopClaim:
+    """A drive comes back, after `way_m`, to where it was: `poses` fit, of which odometry says the one at 1 m."""
+    query = Station(2, int(way_m // STRIDE_M), along_x(1.0))
+    return pair(query, Station(2, 0, along_x(0.0)), poses, "AMBIGUOUS", overlap=0.5, **told)
+
+
+def by_odometry(*claims: LoopClaim, verdict=None) -> dict[int, LoopClaim]:
+    def near(_row: int, pose: InitialPose) -> PairVerdict:
+        return verified(pose.T_match_query) if verdict is None else verdict
+
+    return with_own_odometry(claims, CONFIG, STRIDE_M, near)
+
+
+TURNED = se3.from_yaw(np.pi, (1.0, 0.0, 0.0))
+
+
+@pytest.mark.parametrize("poses", [[along_x(1.2), TURNED], [TURNED, along_x(1.2)], [along_x(7.0), along_x(1.2)]])
+def test_the_odometry_of_a_drive_that_comes_back_soon_chooses_among_its_poses(poses) -> None:
+    claim = by_odometry(returned(40.0, poses))[0]
+    assert claim.accepted_by_itself and np.allclose(claim.T_match_query, along_x(1.2))
+    assert claim.support is not None and claim.support.own_odometry and claim.support.along_m == 40.0
+    assert "odometry since then, over at least 40 m" in claim.support.words
+    assert not replace(claim, doubts={Doubt.PAIRWISE_INCONSISTENT: WORDS}).accepted
+
+
+@pytest.mark.parametrize(
+    "claim",
+    [
+        returned(70.0, [along_x(1.0), TURNED]),
+        returned(40.0, [along_x(4.0), TURNED]),
+        returned(40.0, [along_x(1.0), along_x(2.3), TURNED]),
+        returned(40.0, [along_x(1.0), along_x(2.5), TURNED]),
+        replace(returned(40.0, [along_x(1.0), TURNED]), query=at(200.0, 3)),
+        doubted(returned(40.0, [along_x(1.0), TURNED]), Doubt.LOW_CONSISTENT_SHARE),
+        replace(returned(40.0, [along_x(1.0), TURNED]), by_hand=True),
+    ],
+    ids=["a long way", "none agrees", "two agree", "two too near", "two drives", "doubted", "by hand"],
+)
+def test_odometry_chooses_none_where_it_is_unsure_or_not_alone(claim) -> None:
+    assert by_odometry(claim) == {}
+
+
+def test_what_odometry_chooses_must_pass_there_and_stay_there() -> None:
+    asked = returned(40.0, [along_x(1.0), TURNED])
+    assert by_odometry(asked, verdict=rejected("LOW_SCORE", along_x(1.0))) == {}
+    assert by_odometry(asked, verdict=verified(along_x(2.0))) == {}
