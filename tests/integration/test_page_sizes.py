@@ -166,13 +166,18 @@ def test_the_list_of_keys_opens_inside_the_window(page):
 def test_a_chosen_submap_is_told_of_beside_the_tools(page):
     choose_a_submap(page)
     assert outside(page, "#card") == []
-    assert on_each_other(page, "#camera", "#surface", ".lift:not(.colour-by)", "#card") == []
+    assert on_each_other(page, "#camera", "#surface", ".lift:not(.colour-by, #time)", "#time", "#card") == []
 
 
 def test_the_tools_leave_most_of_the_drawing_free(page):
     _, top, _, bottom = box_of(page, ".stage > .tools")
     assert bottom - top <= 90
-    assert on_each_other(page, "#camera", "#surface", ".lift:not(.colour-by)", ".colour-by", "#caption", "#scale") == []
+    assert (
+        on_each_other(
+            page, "#camera", "#surface", ".lift:not(.colour-by, #time)", "#time", ".colour-by", "#caption", "#scale"
+        )
+        == []
+    )
 
 
 def test_both_ends_of_every_loop_closure_can_be_read_in_the_list(page):
