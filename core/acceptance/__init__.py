@@ -41,7 +41,6 @@ from revisit.core.acceptance.support import VerifyNear, unsupported
 __all__ = [
     "MOST_MOVED_M", "TELLING", "Decided", "Distinctiveness", "Doubt", "Drive", "Grounds", "LoopClaim", "PredictedPoses",
     "Station", "StationInMap", "Support", "VerifyNear", "accept", "accept_chosen", "accept_cloud", "accept_near",
-    "best_loop",
-    "is_decided_by_way", "stride_of_drive", "submaps_asked", "unsupported", "verify_in_turn",
+    "best_loop", "is_decided_by_way", "stride_of_drive", "submaps_asked", "unsupported", "verify_in_turn",
     "without_waiting",
 ]  # fmt: skip

@@ -57,11 +57,6 @@ class Support:
     own_odometry: bool = False
 
     @property
-    def by_claims(self) -> bool:
-        """Whether other claims single it out, which may be contradicted later."""
-        return not (self.on_earth or self.own_odometry)
-
-    @property
     def is_help(self) -> bool:
         """Whether it counts against doubts: odometry chooses among poses, and is no witness of the place."""
         return not self.own_odometry

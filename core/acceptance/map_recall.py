@@ -34,5 +34,5 @@ def accept_chosen(verdict: PairVerdict, T_match_query: Matrix4, config: Verifica
     """
     measured = verdict.measurement
     if isinstance(verdict, RejectedLoop) and verdict.reason is RejectionReason.LOW_SCORE and measured is not None:
-        return accept_near(VerifiedLoop(measured), T_match_query, most_moved_m(config))
+        verdict = VerifiedLoop(measured)
     return accept_near(verdict, T_match_query, most_moved_m(config))

@@ -45,7 +45,7 @@ def without_lost_support(
         for n, claim in enumerate(chosen):
             if not claim.decided_by_others or claim.by_hand or not between.agrees_with_any(n, gone):
                 continue
-            if claim.support is not None and not claim.support.by_claims:
+            if claim.support is not None and claim.support.on_earth:
                 continue
             poses = (claim.hypotheses[0], *_ruled_out(claim))
             support = find_support(poses, between.neighbours(n), config)
@@ -100,8 +100,10 @@ def with_own_odometry(
         if not (claim.of_one_drive and claim.ambiguous) or claim.doubts or claim.by_hand:
             continue
         own = _own_odometry(claim, stride_m)
+        if own.way_m > config.support_reach:
+            continue
         rows = [n for n, pose in enumerate(claim.hypotheses) if agrees(pose, own, config)]
-        if own.way_m > config.support_reach or len(rows) != 1:
+        if len(rows) != 1:
             continue
         others = _others(claim.hypotheses, rows[0])
         if tells_apart(claim.hypotheses[rows[0]], others, own, config):

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from revisit.core.geometry import se3
-from revisit.core.pose_graph.anchored_drive import OWN_ERROR_M, AnchoredDrive, Fix, anchored_drives
+from revisit.core.pose_graph.anchored_drive import OWN_ERROR_M, Fix, anchored_drives
 from revisit.core.pose_graph.anchors import Anchor
 from revisit.core.pose_graph.graph import Node
 
@@ -102,7 +102,7 @@ class AnchorsForLoops:
 
     def _fix(self, node: Node) -> Fix | None:
         if node not in self._fixes:
-            drive: AnchoredDrive | None = self._drives.get(node.session)
+            drive = self._drives.get(node.session)
             self._fixes[node] = None if drive is None else drive.fix(node.ordinal)
         return self._fixes[node]
 

@@ -47,6 +47,14 @@ def driven(tmp_path_factory) -> Path:
     return folder / "home"
 
 
+@pytest.fixture
+def database(tmp_path, driven) -> Path:
+    """A copy of the database of that service."""
+    copy = tmp_path / DATABASE
+    copy.write_bytes((driven / DATABASE).read_bytes())
+    return copy
+
+
 def content(database: Path) -> dict:
     """Every row and the schema, as any reader of the file sees them."""
     with closing(sqlite3.connect(f"file:{database}?mode=ro&immutable=1", uri=True)) as connection:
@@ -108,17 +116,14 @@ def test_any_flipped_bit_of_the_database_is_noticed_or_without_effect(driven):
         ("UPDATE sqlite_sequence SET name = 'tubmaps' WHERE name = 'submaps'", "the counter of submaps"),
     ],
 )
-def test_what_was_changed_beside_the_service_is_named(tmp_path, driven, change, named):
-    database = tmp_path / DATABASE
-    database.write_bytes((driven / DATABASE).read_bytes())
+def test_what_was_changed_beside_the_service_is_named(database, change, named):
     run(database, change)
     with closing(sqlite3.connect(database)) as connection:
         assert named in list(damaged_rows(connection))
 
 
-def test_a_change_of_any_value_of_any_table_is_named(tmp_path, driven):
-    database, changed = tmp_path / DATABASE, set()
-    database.write_bytes((driven / DATABASE).read_bytes())
+def test_a_change_of_any_value_of_any_table_is_named(database):
+    changed = set()
     with closing(sqlite3.connect(database, isolation_level=None)) as connection:
         assert list(damaged_rows(connection)) == []
         for table, arguments in row_checksums._tables(connection).items():
@@ -184,9 +189,7 @@ def upgrade(database, tmp_path, monkeypatch):
     migration.migrate(database)
 
 
-def test_an_upgrade_gives_every_row_its_checksum(tmp_path, driven, monkeypatch):
-    database = tmp_path / DATABASE
-    database.write_bytes((driven / DATABASE).read_bytes())
+def test_an_upgrade_gives_every_row_its_checksum(database, tmp_path, monkeypatch):
     upgrade(database, tmp_path, monkeypatch)
     assert migration.current_revision(database) == NEXT_REVISION
     with closing(sqlite3.connect(database)) as connection:
@@ -196,9 +199,7 @@ def test_an_upgrade_gives_every_row_its_checksum(tmp_path, driven, monkeypatch):
         assert list(damaged_rows(connection)) == ["scans 1"]
 
 
-def test_a_damaged_row_stays_named_through_changes_and_upgrades(tmp_path, driven, monkeypatch):
-    database = tmp_path / DATABASE
-    database.write_bytes((driven / DATABASE).read_bytes())
+def test_a_damaged_row_stays_named_through_changes_and_upgrades(database, tmp_path, monkeypatch):
     run(database, "UPDATE submaps SET stamp_ns = stamp_ns + 1 WHERE number = 1")
     run(database, "UPDATE maps SET created_at_ns = created_at_ns + 1 WHERE map_id = 'town'")
     named = damaged_in(database)
@@ -211,18 +212,14 @@ def test_a_damaged_row_stays_named_through_changes_and_upgrades(tmp_path, driven
     assert damaged_in(database) == named
 
 
-def test_damaged_counters_are_raised_by_nobody(tmp_path, driven):
-    database = tmp_path / DATABASE
-    database.write_bytes((driven / DATABASE).read_bytes())
+def test_damaged_counters_are_raised_by_nobody(database):
     run(database, "UPDATE map_counters SET events = events - 1 WHERE map_id = 'town'")
     with keeping(database) as connection, pytest.raises(sqlite3.OperationalError):
         connection.execute("UPDATE map_counters SET events = events + 1")
     assert len(damaged_in(database)) == 1
 
 
-def test_rows_with_a_damaged_text_are_named_beside_others_and_through_an_upgrade(tmp_path, driven, monkeypatch):
-    database = tmp_path / DATABASE
-    database.write_bytes((driven / DATABASE).read_bytes())
+def test_rows_with_a_damaged_text_are_named_beside_others_and_through_an_upgrade(database, tmp_path, monkeypatch):
     run(database, "UPDATE scans SET cloud_sha256 = CAST(x'ff' AS TEXT) WHERE number = 1")
     run(database, "UPDATE scans SET stamp_ns = stamp_ns + 1 WHERE number = 2")
     named = damaged_in(database)
@@ -231,9 +228,7 @@ def test_rows_with_a_damaged_text_are_named_beside_others_and_through_an_upgrade
     assert damaged_in(database) == named
 
 
-def test_a_damaged_descriptor_stays_refused_until_there_is_another(tmp_path, driven):
-    database = tmp_path / DATABASE
-    database.write_bytes((driven / DATABASE).read_bytes())
+def test_a_damaged_descriptor_stays_refused_until_there_is_another(database):
     run(database, "UPDATE submaps SET descriptor = CAST(x'02' || substr(descriptor, 2) AS BLOB) WHERE number = 1")
     with keeping(database) as connection:
         connection.execute("UPDATE submaps SET map_version = map_version + 1")
@@ -244,9 +239,7 @@ def test_a_damaged_descriptor_stays_refused_until_there_is_another(tmp_path, dri
 
 
 @pytest.mark.parametrize("stored", [None, 1.5, "x", b"x"])
-def test_a_row_with_a_checksum_of_another_kind_can_be_changed_and_stays_damaged(tmp_path, driven, stored):
-    database = tmp_path / DATABASE
-    database.write_bytes((driven / DATABASE).read_bytes())
+def test_a_row_with_a_checksum_of_another_kind_can_be_changed_and_stays_damaged(database, stored):
     with closing(sqlite3.connect(database)) as connection:
         connection.execute("UPDATE plans SET checksum = ?", (stored,))
         connection.commit()

@@ -23,8 +23,8 @@ _BY_OTHERS = frozenset({Doubt.PAIRWISE_INCONSISTENT, Doubt.SUPPORT_LOST})
 ELSEWHERE_M, ELSEWHERE_RAD = 1.0, float(np.radians(5.0))
 """By how much a loop and a map differ that a broken step lies between."""
 
-_PAGE = 500
-"""Loops, whose rows are as many as may be asked for at once."""
+LOOPS_AT_ONCE = 500
+"""Loops, whose rows and submaps are as many as may be asked for at once."""
 
 
 def is_doubted_by_others(loop: LoopRecord) -> bool:
@@ -38,10 +38,10 @@ def doubted_loops(uow: UnitOfWork, tenant: TenantId, map_id: str) -> tuple[Track
     found: list[TrackLoop] = []
     after: int | None = 0
     while after is not None:
-        page = uow.loops.rejected(tenant, map_id, ["AMBIGUOUS"], after=after, limit=_PAGE)
+        page = uow.loops.rejected(tenant, map_id, ["AMBIGUOUS"], after=after, limit=LOOPS_AT_ONCE)
         loops = uow.loops.numbered(tenant, [one.number for one in page]).values() if page else ()
         found += [track_loop(one) for one in loops if one.T_match_query is not None and is_doubted_by_others(one)]
-        after = page[-1].number if len(page) == _PAGE else None
+        after = page[-1].number if len(page) == LOOPS_AT_ONCE else None
     return tuple(found)
 
 

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cache, partial
 
 from revisit.core.errors import DataLoss
 from revisit.core.geometry.se3 import Matrix4
@@ -31,6 +31,8 @@ from revisit.service.ports.map_optimiser import (
     TrackAnchor,
     TrackLoop,
 )
+
+DoubtedLoops = Callable[[], tuple[TrackLoop, ...]]
 
 VERSION_PAIRS = 100
 """Pairs of submaps, about, whose surfaces are compared for a version: 0.03 to 0.17 s of a core each."""
@@ -92,9 +94,15 @@ class JoinAudit:
         surfaces = self._merger.surfaces(partial(_neural_map, self._context, tenant))
         read = partial(released_maps, tenant=tenant, map_id=task.map.map_id)
         scale = self._context.policy.for_map(task.map).scene_scale
-        asked = partial(_Audit, scale, self._merger, task, surfaces, self._context.transactions.read(read).result())
+        released = self._context.transactions.read(read).result()
+        asked = partial(_Audit, scale, self._merger, task, surfaces, released, doubted=self._doubted_once(task))
         by_loops: dict[Refused, MapByLoops] = {}
-        return [self._solved(task, fixed, by_loops, asked(progress), progress) for fixed in anchors]
+        return [self._solved(task, fixed, by_loops, asked(progress=progress), progress) for fixed in anchors]
+
+    def _doubted_once(self, task: MapTask) -> DoubtedLoops:
+        """The doubted loops of a map, read when they are first asked for."""
+        read = partial(doubted_loops, tenant=TenantId(task.map.tenant), map_id=task.map.map_id)
+        return cache(lambda: self._context.transactions.read(read).result())
 
     def _solved(
         self,
@@ -134,7 +142,7 @@ class JoinAudit:
         compares them again, as those loops may not be accepted. An undecided fault lies where doubted loops show it:
         those beside it are among them. Where drives are kept apart the faults are told.
         """
-        sessions, doubted = self._doubted(task, optimised, joins)
+        sessions, doubted = _doubted(task, optimised, joins, asked)
         if not doubted or not sessions:
             return optimised, joins
         graph = replace(task.graph, loops=(*task.graph.loops, *doubted), refused=refused)
@@ -153,19 +161,6 @@ class JoinAudit:
         told = faults if is_decided else other.faults
         return replace(optimised, faults=(*told, *before)) if joins else optimised, joins
 
-    def _doubted(
-        self, task: MapTask, optimised: OptimisedMap, joins: tuple[RefusedJoin, ...]
-    ) -> tuple[Sessions, tuple[TrackLoop, ...]]:
-        """The sessions of refused `joins`, or those that doubted loops contradict in a solution, and doubted loops of
-        sessions that it joins: what was refused before, these do not join again.
-        """
-        sessions = frozenset(number for join in joins for number in (*join.sessions, *join.others))
-        if not joins and sum(len(one.submaps) for one in task.graph.tracks) > MOST_SOLVED_TWICE:
-            return sessions, ()
-        read = partial(doubted_loops, tenant=TenantId(task.map.tenant), map_id=task.map.map_id)
-        doubted = within_frames(task.graph, optimised, self._context.transactions.read(read).result())
-        return sessions or contradicted(task.graph, optimised, doubted), doubted
-
     def refused(self, task: MapTask, progress: Progress) -> tuple[RefusedJoin, ...]:
         """The joins that its solution is without; a map is not solved where the version in force has said it."""
         return self.solved(task, progress).refused_joins if _has_unsettled(task) else ()
@@ -182,8 +177,11 @@ class _Audit:
         surfaces: Surfaces,
         released: frozenset[int],
         progress: Progress,
+        doubted: DoubtedLoops = tuple,
     ) -> None:
-        """`scale` is that of the scene; of the submaps that are `released` there is no neural map."""
+        """`scale` is that of the scene; of the submaps that are `released` there is no neural map; `doubted` reads the
+        loops that only others contradict.
+        """
         self._merger = merger
         self._task = task
         self._progress = progress
@@ -191,6 +189,7 @@ class _Audit:
         self._allowed: set[frozenset[Sessions]] = set()
         self._surfaces = surfaces
         self._released = released
+        self.doubted = doubted
 
     def refused(self, optimised: OptimisedMap, anew: Sessions = frozenset()) -> tuple[RefusedJoin, ...]:
         """The joins of a solution that the surfaces speak against; those with sessions `anew` are asked about again.
@@ -243,6 +242,19 @@ class _Audit:
         if not one or not other:
             return None
         return self._merger.audit(one, other, self._surfaces, self._scale, most, self._progress)
+
+
+def _doubted(
+    task: MapTask, optimised: OptimisedMap, joins: tuple[RefusedJoin, ...], asked: _Audit
+) -> tuple[Sessions, tuple[TrackLoop, ...]]:
+    """The sessions of refused `joins`, or those that doubted loops contradict in a solution, and doubted loops of
+    sessions that it joins: what was refused before, these do not join again.
+    """
+    sessions = frozenset(number for join in joins for number in (*join.sessions, *join.others))
+    if not joins and sum(len(one.submaps) for one in task.graph.tracks) > MOST_SOLVED_TWICE:
+        return sessions, ()
+    doubted = within_frames(task.graph, optimised, asked.doubted())
+    return sessions or contradicted(task.graph, optimised, doubted), doubted
 
 
 def _in_map(optimised: OptimisedMap) -> int:

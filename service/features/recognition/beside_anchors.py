@@ -18,6 +18,7 @@ from revisit.service.domain.identity import TenantId
 from revisit.service.domain.policy import Policy
 from revisit.service.domain.records import LoopRecord
 from revisit.service.features.graph.anchors import AnchoredSubmaps
+from revisit.service.features.graph.doubted_loops import LOOPS_AT_ONCE
 from revisit.service.features.graph.map_jobs import is_or_was_anchored
 from revisit.service.features.graph.reading import MapTask, read_task
 from revisit.service.features.loops.claims import is_by_anchors, poses_of
@@ -26,8 +27,6 @@ from revisit.service.ports.transactions import Transactions, UnitOfWork
 
 ASKED_M = 40.0
 """Pairs that anchors put farther apart share no surface."""
-
-LOOPS_AT_ONCE = 500
 
 _REFUTED = frozenset({Doubt.ODOMETRY_INCONSISTENT, Doubt.RADIO_DISAGREES})
 """Doubts of other witnesses, which anchors do not overrule."""

@@ -18,13 +18,10 @@ from revisit.core.geometry import se3
 from revisit.core.geometry.se3 import Matrix4, pose_matrix
 from revisit.core.pose_graph.faults import FaultKind
 from revisit.service.domain.records import LoopRecord, MapRecord, SubmapRecord
-from revisit.service.features.graph.doubted_loops import is_doubted_by_others
+from revisit.service.features.graph.doubted_loops import LOOPS_AT_ONCE, is_doubted_by_others
 from revisit.service.features.graph.map_frames import MapFrames
 from revisit.service.ports.map_optimiser import FAULTS
 from revisit.service.ports.transactions import UnitOfWork
-
-LOOPS_AT_ONCE = 500
-"""Loops, whose submaps are as many as may be asked for at once."""
 
 
 @dataclass(frozen=True)

@@ -26,6 +26,7 @@ from revisit.service.domain.records import LoopRecord, MapRecord, SubmapRecord
 from revisit.service.domain.states import LoopEventKind, LoopState, SubmapState
 from revisit.service.failpoints import failpoint
 from revisit.service.features.corrections.job import EarlyCorrections
+from revisit.service.features.graph.doubted_loops import LOOPS_AT_ONCE
 from revisit.service.features.graph.edits import note_edit
 from revisit.service.features.graph.map_frames import LoopInMap, MapFrames
 from revisit.service.features.graph.posting import optimise_soon
@@ -45,7 +46,7 @@ from revisit.service.features.loops.claims import (
 from revisit.service.features.loops.rows import Change, LoopStanding, change_loop, decided_by_person
 from revisit.service.features.operations.progress import OperationCancelled, Progress
 from revisit.service.features.recognition.beside_anchors import ChosenLoop, loops_by_anchors
-from revisit.service.features.recognition.beside_faults import LOOPS_AT_ONCE, MendedSteps, loops_beside_faults
+from revisit.service.features.recognition.beside_faults import MendedSteps, loops_beside_faults
 from revisit.service.ports.job_context import JobContext
 from revisit.service.ports.job_queue import CANCELLED, Lease
 from revisit.service.ports.recogniser import PlaceRecogniser
