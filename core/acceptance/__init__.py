@@ -32,6 +32,7 @@ from revisit.core.acceptance.rules import (
     Drive,
     accept,
     accept_cloud,
+    accept_named,
     best_loop,
     stride_of_drive,
     submaps_asked,
@@ -40,7 +41,7 @@ from revisit.core.acceptance.support import VerifyNear, unsupported
 
 __all__ = [
     "MOST_MOVED_M", "TELLING", "Decided", "Distinctiveness", "Doubt", "Drive", "Grounds", "LoopClaim", "PredictedPoses",
-    "Station", "StationInMap", "Support", "VerifyNear", "accept", "accept_chosen", "accept_cloud", "accept_near",
-    "best_loop", "is_decided_by_way", "stride_of_drive", "submaps_asked", "unsupported", "verify_in_turn",
-    "without_waiting",
+    "Station", "StationInMap", "Support", "VerifyNear", "accept", "accept_chosen", "accept_cloud", "accept_named",
+    "accept_near", "best_loop", "is_decided_by_way", "stride_of_drive", "submaps_asked", "unsupported",
+    "verify_in_turn", "without_waiting",
 ]  # fmt: skip

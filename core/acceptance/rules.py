@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -15,8 +15,16 @@ from revisit.core.acceptance.consistency import inconsistent
 from revisit.core.acceptance.consistent_share import REACH_M, low_consistent_share
 from revisit.core.acceptance.distinctiveness import with_distinctiveness
 from revisit.core.acceptance.radio import radio_refuted
-from revisit.core.acceptance.support import VerifyNear, with_own_odometry, with_support, without_lost_support
-from revisit.core.config import PipelineConfig
+from revisit.core.acceptance.support import (
+    VerifyNear,
+    most_moved_m,
+    with_own_odometry,
+    with_support,
+    without_lost_support,
+)
+from revisit.core.config import PipelineConfig, VerificationConfig
+from revisit.core.geometry import se3
+from revisit.core.pair_verdict import Hypothesis, RejectedLoop, RejectionReason
 
 
 @dataclass(frozen=True)
@@ -95,6 +103,35 @@ def accept_cloud(
     judged = _with(judged, not_standing_out(judged, config))
     judged = _with(judged, low_consistent_share(judged, config.submap.stride))
     return _with(judged, inconsistent(judged, config.verification, config.submap.stride))
+
+
+def accept_named(claim: LoopClaim, known: Sequence[LoopClaim], config: VerificationConfig) -> LoopClaim:
+    """Judge the claim of a pair that a caller has named. It is held against no other pair.
+
+    `known`: the ambiguous claims of the service on the same two submaps, whichever is the query. Each keeps the pair
+    ambiguous: its doubts stand, and its other poses are rivals (docs/decisions/0371).
+    """
+    for own in known:
+        if not claim.accepted or claim.measurement is None:
+            break
+        measured = replace(claim.measurement, rivals=_other_poses(claim, own, config))
+        rejected = RejectedLoop(RejectionReason.AMBIGUOUS, measured)
+        verdict = replace(claim.verdict, measurement=measured) if own.doubts else rejected
+        claim = replace(claim, verdict=verdict, doubts=own.doubts)
+    return claim
+
+
+def _other_poses(claim: LoopClaim, own: LoopClaim, config: VerificationConfig) -> tuple[Hypothesis, ...]:
+    """The poses of `own` that are not that of `claim`, in the order of its pair, the best first."""
+    if own.measurement is None or claim.T_match_query is None:
+        return ()
+    poses = (Hypothesis(own.overlap, own.measurement.T_match_query), *own.measurement.rivals)
+    if (own.query.drive, own.query.ordinal) == (claim.match.drive, claim.match.ordinal):
+        poses = tuple(Hypothesis(one.overlap, se3.inverse(one.T_match_query)) for one in poses)
+    apart_m, turn_rad = most_moved_m(config), np.radians(config.support_turn)
+    moved = [se3.inverse(claim.T_match_query) @ one.T_match_query for one in poses]
+    is_other = [np.linalg.norm(T[:3, 3]) > apart_m or se3.rotation_angle(T) > turn_rad for T in moved]
+    return tuple(one for one, other in zip(poses, is_other, strict=True) if other)
 
 
 def best_loop(claims: Sequence[LoopClaim]) -> int | None:

@@ -61,7 +61,7 @@ COMMENTS = {
     'revisit.v1.CreateLoopClosureRequest.note': 'Why: at most 1000 printable characters, here and below.',
     'revisit.v1.CreateLoopClosureRequest.parent': 'maps/{map}',
     'revisit.v1.CreateLoopClosureRequest.query': 'maps/{map}/sessions/{session}/submaps/{submap}, described, here and in match.',
-    'revisit.v1.CreateLoopClosureRequest.t_match_query': 'Roughly how the two lie to each other: where registration starts. Absent where nobody knows.',
+    'revisit.v1.CreateLoopClosureRequest.t_match_query': 'Roughly how the two lie to each other: where registration starts. Absent where nobody knows. It chooses no pose: where others fit as well, the verdict is AMBIGUOUS.',
     'revisit.v1.CreateLoopClosureResponse.operation': 'Its end is the verdict.',
     'revisit.v1.CreateMapRequest.display_name': 'At most 256 printable characters.',
     'revisit.v1.CreateMapRequest.leave_distance_m': '0 to 10000 metres; absent means half of tau_m.',

@@ -50,7 +50,8 @@ class Loops(Group):
     ) -> Operation:
         """Store a loop closure that a person has found: the operation that verifies it, with the loop as subject.
 
-        `T_match_query` (4, 4) is roughly how the two lie to each other: where registration starts.
+        `T_match_query` (4, 4) is roughly how the two lie to each other: where registration starts. It chooses no pose:
+        where others fit as well, the loop is AMBIGUOUS, and `accept` accepts it all the same.
         """
         proposed = self._ask(
             "CreateLoopClosure",

@@ -29,6 +29,9 @@ from revisit.service.ports.transactions import UnitOfWork
 OVERRULED = "OVERRULED"
 """The reason of a loop that a person has rejected."""
 
+BY_HAND = "by hand"
+"""The `start`, in the history of a loop and in the audit log, of a registration from a pose that a caller named."""
+
 
 @dataclass(frozen=True)
 class ProposeLoop:
@@ -111,8 +114,7 @@ class LoopDecisions:
         if changed.reason == AWAITS_CHAIN:
             accept_decided(uow, tenant, SessionKey(map_id, changed.query_session_id), change.at_ns)
             changed = require_loop(uow, tenant, map_id, loop_id)
-        entry = audit.noted(tenant, f"loop_{change.kind.lower()}", f"maps/{map_id}/loopClosures/{loop_id}")
-        audit.append(uow, change.at_ns, entry)
+        _note(uow, changed, change, _start_of(uow, loop) if loop.manual else None)
         note_edit(uow, tenant, map_id)
         optimise_soon(uow, tenant, map_id, self._context.policy, change.at_ns, decided=True)
         return loop_seen(uow, changed)
@@ -140,8 +142,10 @@ class LoopDecisions:
         subject = f"maps/{loop.map_id}/loopClosures/{loop.loop_id}"
         payload = {"map_id": loop.map_id, "loop_id": loop.loop_id}
         job = self._context.jobs.post(uow, loop.tenant, OperationKind.VERIFY_LOOP, subject, payload)
-        details = {"content_hash": asked, "operation": job.operation_id}
+        start = None if loop.T_match_query is None else BY_HAND
+        details = {"content_hash": asked, "operation": job.operation_id, **_told(start)}
         added = add_loop(uow, loop, replace(change, details=details))
+        _note(uow, loop, change, start)
         return ProposedLoop(loop_seen(uow, added), job, replay=False)
 
 
@@ -188,6 +192,22 @@ def _new_loop(query: SubmapRecord, match: SubmapRecord, ordinal: int, T: Matrix4
         created_at_ns=now_ns,
         manual=True,
     )
+
+
+def _note(uow: UnitOfWork, loop: LoopRecord, change: Change, start: str | None) -> None:
+    """Write a change of a loop into the audit log, with the start of a loop that was made by hand."""
+    subject = f"maps/{loop.map_id}/loopClosures/{loop.loop_id}"
+    audit.append(uow, change.at_ns, audit.noted(loop.tenant, f"loop_{change.kind.lower()}", subject, **_told(start)))
+
+
+def _start_of(uow: UnitOfWork, loop: LoopRecord) -> str | None:
+    """Where the registration of a loop that was made by hand began; None where the worker sought a start."""
+    first = uow.loop_events.find(loop.tenant, limit=1, map_id=loop.map_id, loop_id=loop.loop_id)
+    return first[0].details.get("start") if first else None
+
+
+def _told(start: str | None) -> dict[str, str]:
+    return {} if start is None else {"start": start}
 
 
 def _events(

@@ -7,9 +7,9 @@ from functools import partial
 
 import numpy as np
 
-from revisit.core.acceptance import LoopClaim
+from revisit.core.acceptance import LoopClaim, accept_named
 from revisit.core.geometry.se3 import pose_matrix, pose_row
-from revisit.core.pair_verdict import InitialPose, PairVerdict, VerifiedLoop
+from revisit.core.pair_verdict import Authority, InitialPose, PairVerdict, RejectionReason, VerifiedLoop
 from revisit.service.domain.policy import Policy
 from revisit.service.domain.records import JobRecord, LoopRecord, MapRecord, SubmapRecord
 from revisit.service.domain.states import LoopEventKind, LoopState
@@ -17,7 +17,7 @@ from revisit.service.features.corrections.job import EarlyCorrections
 from revisit.service.features.graph.posting import optimise_soon
 from revisit.service.features.index.comparison import Comparison
 from revisit.service.features.index.place_memory import RecalledPlace
-from revisit.service.features.loops.claims import loop_state, rules_of, station, verdict_evidence
+from revisit.service.features.loops.claims import claim_of_row, evidence_of, loop_state, rules_of, station
 from revisit.service.features.loops.rows import Change, change_loop
 from revisit.service.ports.job_context import JobContext
 from revisit.service.ports.job_queue import Lease
@@ -31,12 +31,16 @@ NO_LONGER_PROPOSED = {"outcome": "the loop was deleted, or somebody decided on i
 
 @dataclass(frozen=True)
 class ProposedPair:
-    """The submaps of a proposed loop, how alike they are, and the pose that somebody named, if so."""
+    """The submaps of a proposed loop, how alike they are, and the pose that somebody named, if so.
+
+    ambiguous: the claims of the service on the two submaps, whichever is the query, that are ambiguous.
+    """
 
     map: MapRecord
     query: SubmapRecord
     match: RecalledPlace
     initial: InitialPose | None
+    ambiguous: list[LoopClaim]
 
 
 @dataclass(frozen=True)
@@ -59,10 +63,11 @@ class VerdictCommit:
             uow.queue.complete(self.lease, NO_LONGER_PROPOSED)
             return
         verdict, measured = self.verdict, self.verdict.measurement
-        # A person or a client has named the pair: it is judged alone.
+        rules = self.policy.for_map(self.pair.map).verification
         claim = LoopClaim(station(self.pair.query), station(self.pair.match.submap), verdict)
+        claim = accept_named(claim, self.pair.ambiguous, rules)
         state, reason = loop_state(claim), None if claim.reason is None else claim.reason.value
-        evidence = verdict_evidence(verdict, self.policy.for_map(self.pair.map).verification)
+        evidence = evidence_of(claim, rules)
         model = {"model_version": self.pair.query.model_version}
         change_loop(
             uow,
@@ -111,10 +116,19 @@ def _proposed_pair(uow: UnitOfWork, job: JobRecord) -> ProposedPair | None:
         return None
     submaps = uow.submaps.numbered(job.tenant, [loop.query_number, loop.match_number])
     query, match = submaps[loop.query_number], submaps[loop.match_number]
-    initial = None if loop.T_match_query is None else InitialPose(np.array(pose_matrix(loop.T_match_query)))
-    return ProposedPair(
-        require_map(uow, job.tenant, loop.map_id), query, RecalledPlace(match, _similarity(query, match)), initial
-    )
+    initial = None
+    if loop.T_match_query is not None:
+        initial = InitialPose(np.array(pose_matrix(loop.T_match_query)), Authority.COMPETES)
+    recalled = RecalledPlace(match, _similarity(query, match))
+    ambiguous = [*_ambiguous(uow, query, match), *_ambiguous(uow, match, query)]
+    return ProposedPair(require_map(uow, job.tenant, loop.map_id), query, recalled, initial, ambiguous)
+
+
+def _ambiguous(uow: UnitOfWork, query: SubmapRecord, match: SubmapRecord) -> list[LoopClaim]:
+    """The claims of the service on a pair that are ambiguous."""
+    ends = {"query_number": query.number, "match_number": match.number}
+    found = uow.loops.find(query.tenant, **ends, reason=RejectionReason.AMBIGUOUS.value)
+    return [claim_of_row(loop, query, match) for loop in found if not loop.manual]
 
 
 def _proposed(uow: UnitOfWork, job: JobRecord) -> LoopRecord | None:

@@ -10,6 +10,7 @@ import pytest
 from revisit.core.config import PipelineConfig, VerificationConfig
 from revisit.core.geometry import se3
 from revisit.core.model_bundle import load_packaged_models
+from revisit.core.pair_verdict import Authority, InitialPose
 from revisit.core.pipeline import describe, verify
 from revisit.core.place import Place
 from revisit.core.scan import Scan
@@ -42,6 +43,18 @@ def test_a_pair_from_the_same_spot_of_two_bays_is_ambiguous(bays) -> None:
     assert verdict.reason is RejectionReason.AMBIGUOUS
     assert np.linalg.norm(verdict.measurement.T_match_query[:3, 3]) < 0.1  # the truth is 8 m off
     assert all(rival.overlap < 0.85 * verdict.measurement.overlap for rival in verdict.measurement.rivals)
+
+
+def test_a_start_by_hand_a_bay_off_is_ambiguous_where_one_that_decides_would_be_accepted(bays) -> None:
+    match, query = bays
+    T_match_query = se3.from_yaw(0.02, (0.3, -0.2, 0.1))
+    by_hand, decides = (
+        verify(query, match, 0.9, CONFIG.verification, InitialPose(T_match_query, authority))
+        for authority in (Authority.COMPETES, Authority.DECIDES)
+    )
+    assert isinstance(by_hand, RejectedLoop) and by_hand.reason is RejectionReason.AMBIGUOUS
+    assert np.linalg.norm(by_hand.measurement.T_match_query[:3, 3]) < 0.1  # where it was put; the truth is 8 m off
+    assert isinstance(decides, VerifiedLoop)
 
 
 @pytest.mark.parametrize("rule", [{"rival_repeats": 9.0}, {"rival_repeats_share": 9.0}])
