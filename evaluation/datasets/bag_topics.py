@@ -17,7 +17,6 @@ from revisit.evaluation.datasets.ros_messages import (
     POSE_TYPES,
     TRANSFORM_TYPES,
     Header,
-    SatelliteFix,
     StampedTransform,
     read_fix,
     read_header,
@@ -26,6 +25,7 @@ from revisit.evaluation.datasets.ros_messages import (
     read_transforms,
 )
 from revisit.evaluation.datasets.transform_groups import TransformGroups
+from revisit.formats.satellite_fix import SatelliteFix
 
 WANTED_TYPES = (*CLOUD_TYPES, *POSE_TYPES, *PATH_TYPES, *TRANSFORM_TYPES, *FIX_TYPES)
 

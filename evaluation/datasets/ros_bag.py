@@ -21,7 +21,7 @@ from revisit.evaluation.datasets.lidar_odometry import KISS_ICP, Report, odometr
 from revisit.evaluation.datasets.pairing import Fixed, Pairing, Relation
 from revisit.evaluation.datasets.placed_clouds import BagCloud, merged, placed
 from revisit.evaluation.datasets.posed_clouds import StampedPoses, Stamps
-from revisit.evaluation.datasets.ros_messages import SatelliteFix, read_points
+from revisit.evaluation.datasets.ros_messages import read_points
 from revisit.evaluation.datasets.topic_choice import (
     WantedTopics,
     choose,
@@ -29,6 +29,7 @@ from revisit.evaluation.datasets.topic_choice import (
     clouds_alone,
     with_other_frames,
 )
+from revisit.formats.satellite_fix import SatelliteFix
 
 
 @dataclass(frozen=True)

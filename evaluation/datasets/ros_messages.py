@@ -22,6 +22,7 @@ from revisit.formats.pointcloud2 import (
     decode_packed,
     field_of_points,
 )
+from revisit.formats.satellite_fix import SatelliteFix
 
 LIVOX_TYPES = tuple(
     f"{package}/msg/CustomMsg" for package in ("livox_ros_driver2", "livox_ros_driver", "livox_interfaces")
@@ -61,21 +62,6 @@ class StampedTransform:
     parent: str
     child: str
     T_parent_child: se3.Matrix4
-
-
-@dataclass(frozen=True)
-class SatelliteFix:
-    """A sensor_msgs/NavSatFix: latitude and longitude, degrees, and altitude above the ellipsoid, metres (WGS 84).
-
-    covariance (3, 3) of east, north and up, m^2, None where the receiver does not tell it. `status`: -1 is no fix, 0 a
-    fix, 1 with corrections of satellites, 2 with those of stations on the ground.
-    """
-
-    stamp_ns: int
-    frame: str
-    status: int
-    position: tuple[float, float, float]
-    covariance: NDArray[np.float64] | None
 
 
 class _Fields:

@@ -66,7 +66,9 @@ def _of_json(name: str, text: str) -> list[NewAnchor]:
     rows = told.get("anchors") if isinstance(told, dict) else told
     if not isinstance(rows, list) or not all(isinstance(row, dict) for row in rows):
         raise refuse(f"{name} must hold a list of anchors, or an object with such a list as `anchors`")
-    return [_made(f"{name}, anchor {number}", _of_object, row) for number, row in enumerate(rows, 1)]
+    from revisit.sdk.anchors import NewAnchor
+
+    return [_made(f"{name}, anchor {number}", NewAnchor.of_json, row) for number, row in enumerate(rows, 1)]
 
 
 def _made(where: str, make: Any, row: Mapping[str, Any]) -> NewAnchor:
@@ -106,31 +108,3 @@ def _numbers(told: Mapping[str, str], columns: Sequence[str]) -> list[float] | N
     if not any(column in told for column in columns):
         return None
     return [float(told[column]) for column in columns]
-
-
-def _of_object(row: Mapping[str, Any]) -> NewAnchor:
-    """As a request has it, or as `revisit anchors list --json` answers."""
-    from revisit.sdk.anchors import NewAnchor
-    from revisit.sdk.scan_choice import pose_matrix
-
-    pose, matrix = row.get("t_odom_sensor"), row.get("T_odom_sensor")
-    geodetic, local = row.get("geodetic"), row.get("local_m")
-    heading, sigma = (row.get(name) for name in HEADING)
-    return NewAnchor(
-        str(row["anchor_id"] if "anchor_id" in row else row["name"].rpartition("/")[2]),
-        str(row["kind"]),
-        int(row["stamp_ns"]),
-        np.reshape(np.array(row["covariance_enu"], dtype=np.float64), (3, 3)),
-        geodetic=None if geodetic is None else tuple(float(geodetic[name]) for name in EARTH),  # type: ignore[arg-type]
-        local_m=None if local is None else _vector(local),
-        offset_m=_vector(row.get("offset_m") or (0.0, 0.0, 0.0)),
-        T_odom_sensor=pose_matrix(pose) if pose is not None else None if matrix is None else se3.validated(matrix),
-        heading_rad=None if heading is None else float(heading),
-        heading_sigma_rad=None if sigma is None else float(sigma),
-    )
-
-
-def _vector(told: Mapping[str, Any] | Sequence[Any]) -> tuple[float, float, float]:
-    """Three numbers of an object, of which protobuf leaves out the zeros, or of a list."""
-    x, y, z = (told.get(axis, 0.0) for axis in "xyz") if isinstance(told, Mapping) else told
-    return float(x), float(y), float(z)
