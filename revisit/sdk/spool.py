@@ -128,7 +128,7 @@ class Spool:
         self._changed = threading.Condition(threading.RLock())
         self._lock_file = _locked(path)
         try:
-            with _translated():
+            with translated():
                 self._db = _opened(path)
                 self._begin(session)
         except BaseException:
@@ -138,7 +138,7 @@ class Spool:
     @property
     def state(self) -> SpoolState:
         """Its content now."""
-        with self._changed, _translated():
+        with self._changed, translated():
             session, committed_seq, _, stamp_ns = self._stream()
             (dead,) = self._db.execute("SELECT count(*) FROM dead_letters").fetchone()
             return SpoolState(session, committed_seq, self._pending, self._pending_bytes, dead, stamp_ns)
@@ -151,7 +151,7 @@ class Spool:
     @property
     def way(self) -> Way | None:
         """How far the session had travelled at the last scan; None before the first."""
-        with self._changed, _translated():
+        with self._changed, translated():
             travelled_m, pose = self._db.execute("SELECT travelled_m, last_pose FROM stream").fetchone()
         return None if pose is None else Way(travelled_m, pose_matrix(json.loads(pose)))
 
@@ -159,7 +159,7 @@ class Spool:
         self, cloud: Cloud, pose: Json, stamp_ns: int, wait_s: float = 0.0, travelled_m: float | None = None
     ) -> None:
         """Put a scan on the disk. Raises SpoolFull where there is no room for it within `wait_s`; SpoolUnusable."""
-        with self._changed, _translated():
+        with self._changed, translated():
             if not self._changed.wait_for(lambda: self._has_room(len(cloud.data)), wait_s):
                 raise SpoolFull(f"the spool holds {self._pending_bytes} of {self._max_bytes} bytes")
             with self._transaction():
@@ -179,7 +179,7 @@ class Spool:
         """The first scan behind `number`, waited for."""
         columns = "id, stamp_ns, pose, content_type, cloud, travelled_m"
         query = f"SELECT {columns} FROM scans WHERE id > ? ORDER BY id LIMIT 1"  # noqa: S608
-        with self._changed, _translated():
+        with self._changed, translated():
             row = self._db.execute(query, (number,)).fetchone()
             if row is None and self._changed.wait(timeout_s):
                 row = self._db.execute(query, (number,)).fetchone()
@@ -190,7 +190,7 @@ class Spool:
     def dead_letters(self) -> list[DeadLetter]:
         """The scans that the service refused for good, oldest first."""
         columns = "seq, stamp_ns, pose, cloud_bytes, reason, message, refused_at_ns"
-        with self._changed, _translated():
+        with self._changed, translated():
             rows = self._db.execute(f"SELECT {columns} FROM dead_letters ORDER BY id").fetchall()  # noqa: S608
         return [DeadLetter(row[0], row[1], json.loads(row[2]), *row[3:]) for row in rows]
 
@@ -206,19 +206,19 @@ class Spool:
 
     def close(self) -> None:
         """Close the file; its content stays."""
-        with self._changed, _translated():
+        with self._changed, translated():
             self._db.close()
             os.close(self._lock_file)
 
     def resume_point(self) -> tuple[str, int]:
         """See `revisit.sdk.transport.StreamJournal`."""
-        with self._changed, _translated():
+        with self._changed, translated():
             _, committed_seq, token, _ = self._stream()
             return token, committed_seq or 0
 
     def opened(self, committed_seq: int, resume_token: str, marks: ScanMarks | None = None) -> None:
         """See `revisit.sdk.transport.StreamJournal`. Raises SpoolDisagrees."""
-        with self._changed, _translated():
+        with self._changed, translated():
             if self._stream()[1] is None:
                 # The first meeting: scans that the session already has did not come from here.
                 with self._transaction():
@@ -234,7 +234,7 @@ class Spool:
 
     def committed(self, committed_seq: int) -> None:
         """See `revisit.sdk.transport.StreamJournal`. Raises SpoolDisagrees."""
-        with self._changed, _translated():
+        with self._changed, translated():
             before = self._stream()[1] or 0
             newly = committed_seq - before
             if newly < 0:
@@ -256,7 +256,7 @@ class Spool:
 
     def refused(self, seq: int, reason: str, message: str) -> None:
         """See `revisit.sdk.transport.StreamJournal`."""
-        with self._changed, _translated():
+        with self._changed, translated():
             with self._transaction():
                 self._db.execute(
                     "INSERT INTO dead_letters (seq, stamp_ns, pose, cloud_bytes, reason, message, refused_at_ns) "
@@ -336,12 +336,18 @@ def _locked(path: Path) -> int:
     return descriptor
 
 
-def _opened(path: Path) -> sqlite3.Connection:
+def durable_database(path: Path) -> sqlite3.Connection:
+    """A file of SQLite for its owner alone, made where there is none. A statement that has ended is on the disk."""
     os.close(os.open(path, os.O_RDWR | os.O_CREAT, 0o600))
     connection = sqlite3.connect(path, isolation_level=None, check_same_thread=False)
     # An acknowledgement to the robot means on disk: anything less than FULL loses it in a power cut.
     for pragma in ("journal_mode=WAL", "synchronous=FULL"):
         connection.execute(f"PRAGMA {pragma}")
+    return connection
+
+
+def _opened(path: Path) -> sqlite3.Connection:
+    connection = durable_database(path)
     (version,) = connection.execute("PRAGMA user_version").fetchone()
     if version > FORMAT:
         connection.close()
@@ -352,7 +358,8 @@ def _opened(path: Path) -> sqlite3.Connection:
 
 
 @contextmanager
-def _translated() -> Iterator[None]:
+def translated() -> Iterator[None]:
+    """Errors of SQLite as SpoolFull and SpoolUnusable."""
     try:
         yield
     except sqlite3.Error as error:

@@ -64,13 +64,18 @@ class Robot:
         self.bridge = Bridge(own, unknown, outbox, answers, boot, folder / "last_scan.json", time.monotonic)
         self.bridge.start()
 
-    def drive(self, first: int, last: int, stop_at: int = 1_000) -> None:
-        """Half a metre every tenth of a second, up to a scan, then none; clouds come before their poses."""
+    def drive(self, first: int, last: int, stop_at: int = 1_000, fixes: bool = False) -> None:
+        """Half a metre every tenth of a second, up to a scan, then none; clouds come before their poses.
+
+        With `fixes` the antenna is at the sensor, and tells its place with each scan.
+        """
         for index in range(first, last + 1):
             stamp = 1000 * SECOND + index * SECOND // 10
             pose = se3.from_yaw(0.0, (0.5 * min(index, stop_at), 0.0, 0.0))
             self.bridge.take_cloud(self.ros.cloud(cloud_points(index), stamp, "base_link"))
             self.bridge.take_odometry(self.ros.odometry(pose, stamp))
+            if fixes:
+                self.bridge.take_fix(self.ros.fix(stamp, "base_link", (48.1 + 1e-5 * index, 11.5, 520.0)))
 
     @property
     def session(self) -> str:
@@ -230,3 +235,31 @@ def test_a_session_is_created_with_the_storey_that_it_began_on_also_after_a_rest
     assert upstairs.client.get_session(first).storey == "B2"
     assert upstairs.client.get_session(first).committed_seq == 11
     assert upstairs.client.get_session(upstairs.session).storey == "B1"
+
+
+def test_fixes_of_a_drive_without_a_link_are_anchors_of_their_sessions_after_a_reboot(robot_in) -> None:
+    robot = robot_in(NOWHERE)
+    robot.drive(0, 9, fixes=True)
+    first = robot.session
+    assert robot.bridge.outbox.state.anchors_waiting == 5
+    robot.off()
+    robot = robot_in(boot="boot 2")
+    assert robot.bridge.outbox.state.anchors_waiting == 5
+    robot.drive(0, 4, fixes=True)
+    robot.until(lambda: robot.bridge.outbox.state.anchors_waiting == 0 and len(robot.bridge.outbox.session_ids) == 1)
+    robot.until(lambda: robot.client.get_session(first).state == "FINISHED")
+    kept = robot.client.sessions.anchors(first)
+    assert [(one.kind, one.T_odom_sensor[0, 3]) for one in kept] == [("GNSS", pytest.approx(x)) for x in range(5)]
+    assert len(robot.client.sessions.anchors(robot.session)) == 3
+    assert robot.bridge.outbox.state.anchors_stored == 8 and robot.bridge.problem == ""
+
+
+def test_a_point_that_somebody_names_is_an_anchor_at_once_and_a_second_one_of_its_id_is_told(robot_in, caplog) -> None:
+    robot = robot_in()
+    robot.drive(0, 2)
+    for place in ((1.0, 2.0, 3.0), (1.0, 2.0, 4.0)):
+        assert robot.bridge.add_anchor(robot.ros.add_anchor("door-7", (4.0, 0.0, 0.0), local_m=place))[0]
+    robot.until(lambda: robot.bridge.outbox.state.anchors_waiting == 0)
+    (door,) = robot.client.sessions.anchors(robot.session)
+    assert (door.kind, door.local_m, door.offset_m) == ("CONTROL_POINT", (1.0, 2.0, 3.0), (4.0, 0.0, 0.0))
+    assert robot.bridge.outbox.state.anchors_lost == 1 and "anchor door-7 of" in caplog.text

@@ -17,6 +17,7 @@ _STANDARD = (
     "diagnostic_msgs/msg/DiagnosticStatus", "diagnostic_msgs/msg/DiagnosticArray", "nav_msgs/msg/MapMetaData",
     "nav_msgs/msg/OccupancyGrid",
 )  # fmt: skip
+SERVICES = ("AddAnchor",)
 OWN = ("LoopClosure", "PoseGraphNode", "PoseGraph")
 
 
@@ -28,6 +29,10 @@ def ros_store():
     for name in ("LoopClosure", "PoseGraphNode", "PoseGraph"):
         text = (MSG_FOLDER / f"{name}.msg").read_text()
         store.register(get_types_from_msg(text, f"revisit_msgs/msg/{name}"))
+    for service in SERVICES:
+        asked, answered = (MSG_FOLDER.parent / f"srv/{service}.srv").read_text().split("\n---\n")
+        store.register(get_types_from_msg(asked, f"revisit_msgs/msg/{service}_Request"))
+        store.register(get_types_from_msg(answered, f"revisit_msgs/msg/{service}_Response"))
     return store
 
 
@@ -90,6 +95,26 @@ class Messages:
             twist=named["TwistWithCovariance"](twist=still, covariance=np.zeros(36)),
         )  # fmt: skip
         return self.sent(message, "nav_msgs/msg/Odometry")
+
+    def fix(self, stamp_ns: int, frame: str, position=(48.1, 11.5, 520.0), status: int = 0, covariance=None):
+        """A fix of satellites at (latitude, longitude, altitude)."""
+        fixed = self.types["sensor_msgs/msg/NavSatStatus"](status=status, service=1)
+        told = np.zeros(9) if covariance is None else np.ravel(covariance)
+        message = self.types["sensor_msgs/msg/NavSatFix"](
+            self.header(stamp_ns, frame), fixed, *position, told, 0 if covariance is None else 3
+        )
+        return self.sent(message, "sensor_msgs/msg/NavSatFix")
+
+    def add_anchor(self, anchor_id: str, at, stamp_ns: int = 0, frame: str = "", **told: object):
+        """A request that a point `at` in a frame of the robot has a known place."""
+        point, vector = self.types["geometry_msgs/msg/Point"], self.types["geometry_msgs/msg/Vector3"]
+        fields = {"on_earth": False, "latitude_deg": 0.0, "longitude_deg": 0.0, "altitude_m": 0.0,
+                  "local_m": (0.0, 0.0, 0.0), "sigma_m": (0.02, 0.02, 0.05),
+                  "heading_rad": 0.0, "heading_sigma_rad": 0.0} | told  # fmt: skip
+        fields |= {"local_m": point(*fields["local_m"]), "sigma_m": vector(*fields["sigma_m"])}
+        seen = self.types["geometry_msgs/msg/PointStamped"](self.header(stamp_ns, frame), point(*at))
+        kind = "revisit_msgs/msg/AddAnchor_Request"
+        return self.sent(self.types[kind](anchor_id=anchor_id, point=seen, **fields), kind)
 
     def sent(self, message, kind: str):
         """The message as it arrives: written as CDR and read again."""

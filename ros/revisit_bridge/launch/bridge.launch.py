@@ -8,7 +8,7 @@ from launch.actions import DeclareLaunchArgument, OpaqueFunction
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import LifecycleNode, Node
 
-OFTEN_SET = ("service", "map_id", "robot_id", "cloud_topic", "odometry_topic", "odom_frame", "map_frame")
+OFTEN_SET = ("service", "map_id", "robot_id", "cloud_topic", "odometry_topic", "fix_topic", "odom_frame", "map_frame")
 
 
 def generate_launch_description() -> LaunchDescription:

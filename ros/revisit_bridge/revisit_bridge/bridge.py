@@ -16,13 +16,15 @@ from revisit.core.errors import RevisitError
 from revisit.core.geometry import se3
 from revisit.sdk.errors import ApiError
 from revisit.sdk.resources import Relocalisation
+from revisit_bridge.anchor_request import sighting_of
 from revisit_bridge.answers import Answers, News, Newsroom
-from revisit_bridge.messages import Points, points_of, pose_of
+from revisit_bridge.messages import Points, fix_of, points_of, pose_of
 from revisit_bridge.outbox import Outbox
 from revisit_bridge.pairing import Mountings, OdometryPoses, PosedCloud, TransformPoses, WaitingClouds
 from revisit_bridge.parameters import Parameters, require_storey
 from revisit_bridge.relocalising import Relocaliser
 from revisit_bridge.session_rule import Begun, LastScan, Motion, Repeated, judge, new_session_id
+from revisit_bridge.sightings import Outcome, Sightings
 
 log = logging.getLogger("revisit_bridge")
 SAVE_S = 1.0
@@ -60,6 +62,7 @@ class Bridge:
         self._clouds = WaitingClouds(
             source, parameters.pose_wait_s, parameters.max_waiting_clouds, now_s, parameters.deskew
         )
+        self._sightings = Sightings(source, transforms, outbox.keep, parameters.pose_wait_s, now_s)
         self._journey = Journey(LastScan.load(state_file))
         if self._journey.last is not None and not outbox.resume(self._journey.last.session_id):
             self._journey = Journey()
@@ -89,7 +92,13 @@ class Bridge:
     @property
     def problem(self) -> str:
         """What is wrong just now, "" for nothing."""
-        return "; ".join([*self._refused, *([self._newsroom.error] if self._newsroom.error else [])])
+        others = [self._newsroom.error, self._sightings.problem]
+        return "; ".join([*self._refused, *(other for other in others if other)])
+
+    @property
+    def sightings(self) -> Sightings:
+        """Fixes and points that become anchors, with counts of those of which none is made."""
+        return self._sightings
 
     def start(self) -> None:
         """Begin to ask the service."""
@@ -110,10 +119,28 @@ class Bridge:
         self._clouds.take(message)
         self.work()
 
+    def take_fix(self, message: Any) -> None:
+        """A sensor_msgs/NavSatFix: it becomes an anchor once the pose at its time is known."""
+        self._sightings.take_fix(fix_of(message))
+
+    def add_anchor(self, request: Any) -> tuple[bool, str]:
+        """A request of revisit_msgs/AddAnchor: whether it is kept, or waits, and its state or the reason in words."""
+        if self._journey.last is None:
+            return False, "there was no scan: where the robot is in its session is not known"
+        try:
+            outcome = self._sightings.take(sighting_of(request, self._journey.last.stamp_ns))
+        except RevisitError as error:
+            return False, error.message
+        if outcome is Outcome.LEFT_OUT:
+            return False, self._sightings.problem
+        waits = "waits for the pose at its time" if outcome is Outcome.WAITS else "is on the disk of the robot"
+        return True, f"{waits}; the service has it after its session's scans"
+
     def work(self) -> None:
         """Put the clouds whose poses are known on the disk."""
         for posed in self._clouds.ready():
             self._offer(posed)
+        self._sightings.settle()
 
     def news(self) -> list[News]:
         """What was found since the last call."""
@@ -125,6 +152,7 @@ class Bridge:
     def end_session(self) -> None:
         """The next scan begins a new session; this one is finished once its scans are sent."""
         self._outbox.end()
+        self._sightings.end()
         self._journey = Journey()
         self._state_file.unlink(missing_ok=True)
 
@@ -151,6 +179,7 @@ class Bridge:
             self._relocaliser.close()
         if self._thread.is_alive():
             self._thread.join(timeout=5.0)
+        self._sightings.end()
         if self._journey.last is not None:
             self._journey.last.save(self._state_file)
         self._outbox.close()
@@ -165,8 +194,12 @@ class Bridge:
         if isinstance(verdict, Repeated):
             return
         lost = self._outbox.lost
-        if lost is not None or isinstance(verdict, Begun):
+        last = self._journey.last
+        if last is None or lost is not None or isinstance(verdict, Begun):
             scan = replace(scan, session_id=self._begun(lost or _reason(verdict)))
+            self._sightings.begin(scan.sensor_frame, scan.stamp_ns)
+        else:
+            self._sightings.go_on(scan.sensor_frame, last.stamp_ns, scan.stamp_ns)
         self._remember(scan)
         self._send(posed)
 

@@ -15,6 +15,7 @@ from revisit.core.scan import validate_intensity
 from revisit.formats.cloud import CloudLimits
 from revisit.formats.point_times import point_offsets
 from revisit.formats.pointcloud2 import PackedCloud, PointField, decode_packed
+from revisit.formats.satellite_fix import SatelliteFix
 
 Points = NDArray[np.float32]
 
@@ -94,6 +95,16 @@ def pose_of(odometry: Any) -> StampedPose:
     pose, header = odometry.pose.pose, odometry.header
     parent, child = frame(header.frame_id), frame(odometry.child_frame_id)
     return StampedPose(stamp_ns(header), parent, child, matrix(pose.position, pose.orientation))
+
+
+def fix_of(message: Any) -> SatelliteFix:
+    """The fix in a sensor_msgs/NavSatFix."""
+    position = (float(message.latitude), float(message.longitude), float(message.altitude))
+    told = np.reshape(np.asarray(message.position_covariance, dtype=np.float64), (3, 3))
+    known, status = int(message.position_covariance_type) > 0, int(message.status.status)
+    return SatelliteFix(
+        stamp_ns(message.header), frame(message.header.frame_id), status, position, told if known else None
+    )
 
 
 def matrix(position: Any, orientation: Any) -> se3.Matrix4:

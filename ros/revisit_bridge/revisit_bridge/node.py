@@ -30,7 +30,8 @@ from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, qos_profile_sensor_data
 from rclpy.time import Time as RosTime
 from revisit_msgs.msg import LoopClosure, PoseGraph, PoseGraphNode
-from sensor_msgs.msg import PointCloud2
+from revisit_msgs.srv import AddAnchor
+from sensor_msgs.msg import NavSatFix, PointCloud2
 from std_msgs.msg import Header
 from std_srvs.srv import Trigger
 from tf2_ros import Buffer, TransformBroadcaster, TransformException, TransformListener
@@ -151,14 +152,17 @@ class BridgeParts:
         inputs = [(PointCloud2, own.cloud_topic, self.bridge.take_cloud)]
         if own.odometry_topic:
             inputs.append((Odometry, own.odometry_topic, self.bridge.take_odometry))
+        if own.fix_topic:
+            inputs.append((NavSatFix, own.fix_topic, self.bridge.take_fix))
         for kind, topic, take in inputs:
             made = self.create_subscription(kind, topic, take, qos_profile_sensor_data)
             self._active.append((self.destroy_subscription, made))
 
     def _offer(self: Any) -> None:
         own = self.parameters
-        for name in ("end_session", "relocalise", "optimise_map", "save_map"):
-            made = self.create_service(Trigger, f"~/{name}", getattr(self, f"_{name}"))
+        services = [(Trigger, name) for name in ("end_session", "relocalise", "optimise_map", "save_map")]
+        for kind, name in [*services, (AddAnchor, "add_anchor")]:
+            made = self.create_service(kind, f"~/{name}", getattr(self, f"_{name}"))
             self._active.append((self.destroy_service, made))
         timers = [(WORK_S, self.bridge.work), (PUBLISH_S, self._tell), (STATUS_S, self._tell_status)]
         if own.grid_m:
@@ -223,8 +227,8 @@ class BridgeParts:
 
     def _tell_status(self: Any) -> None:
         now_ns = self.get_clock().now().nanoseconds
-        state, left_out = self.bridge.outbox.state, self.bridge.left_out
-        self._status.publish(status_message(TYPES, state, self.bridge.problem, left_out, now_ns))
+        state, left_out, sightings = self.bridge.outbox.state, self.bridge.left_out, self.bridge.sightings
+        self._status.publish(status_message(TYPES, state, self.bridge.problem, left_out, sightings, now_ns))
 
     def _end_session(self: Any, _: Any, response: Any) -> Any:
         self.bridge.end_session()
@@ -234,6 +238,10 @@ class BridgeParts:
     def _relocalise(self: Any, _: Any, response: Any) -> Any:
         response.success = self.bridge.relocalise()
         response.message = "the scans to come are asked about" if response.success else "that is being asked already"
+        return response
+
+    def _add_anchor(self: Any, request: Any, response: Any) -> Any:
+        response.success, response.message = self.bridge.add_anchor(request)
         return response
 
     def _follow_map(self: Any) -> None:

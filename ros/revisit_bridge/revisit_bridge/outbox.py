@@ -3,24 +3,31 @@
 from __future__ import annotations
 
 import contextlib
+import logging
 import os
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
 from revisit.core.errors import RevisitError
 from revisit.core.geometry import se3
+from revisit.sdk.anchors import NewAnchor
 from revisit.sdk.client import Client
 from revisit.sdk.errors import ApiError
 from revisit.sdk.scan_choice import Send
 from revisit.sdk.spool import Spool, SpoolState
+from revisit_bridge.kept_anchors import AnchorPosting, KeptAnchors
 from revisit_bridge.messages import Points
+
+log = logging.getLogger("revisit_bridge")
 
 SUFFIX = ".spool"
 STOREY_SUFFIX = ".storey"
 """Of the file beside a spool that holds the storey of its session: the session may be created after a restart."""
+ANCHORS_SUFFIX = ".anchors"
+"""Of the file beside a spool that holds the anchors of its session which the service does not have."""
 
 RETRY_S = 30.0
 LOST_SESSION = frozenset({"SESSION_FINISHED", "NOT_FOUND", "SEQ_GAP", "ALREADY_EXISTS"})
@@ -48,6 +55,9 @@ class Sessions(Protocol):
     def stream(self, session: str, spool: Path, storey: str) -> contextlib.AbstractContextManager[Stream]:
         """The stream of a session by way of a file; the session, on a storey or "", is created once there is a link."""
 
+    def post_anchors(self, session: str, anchors: Sequence[NewAnchor]) -> None:
+        """Post anchors of a session. Raises ApiError."""
+
     def finish(self, session: str) -> None:
         """Finish a session. Raises ApiError."""
 
@@ -70,6 +80,10 @@ class ServiceSessions:
             session, spool, max_bytes=self.max_bytes, prepare=lambda: self._create(session, storey), send=self.send
         )
 
+    def post_anchors(self, session: str, anchors: Sequence[NewAnchor]) -> None:
+        """See Sessions."""
+        self.client.sessions.post_anchors(session, anchors)
+
     def finish(self, session: str) -> None:
         """See Sessions."""
         self.client.finish_session(session)
@@ -91,13 +105,17 @@ class _Open:
     name: str
     spool: Path
     stream: Stream
+    anchors: KeptAnchors
     close: Callable[[], Any]
     stopped_at_s: float | None = None
 
 
 @dataclass(frozen=True)
 class OutboxState:
-    """How things stand. `pending` scans wait in all spools; `stuck`: sessions that the service refuses for good."""
+    """How things stand. `pending` scans wait in all spools; `stuck`: sessions that the service refuses for good.
+
+    Of the anchors, those of `anchors_lost` were refused, or their session is gone.
+    """
 
     session: str
     pending: int
@@ -105,6 +123,9 @@ class OutboxState:
     committed_seq: int | None
     error: str
     stuck: tuple[str, ...]
+    anchors_waiting: int = 0
+    anchors_stored: int = 0
+    anchors_lost: int = 0
 
 
 class Outbox:
@@ -120,6 +141,8 @@ class Outbox:
         folder.mkdir(parents=True, exist_ok=True, mode=0o700)
         self._folder, self._map_id, self._sessions, self._now_s = folder, map_id, sessions, now_s
         self._storey = storey
+        self._posting, self._anchors_gone = AnchorPosting(sessions.post_anchors), 0
+        self._anchor_errors: dict[str, str] = {}
         self._lock = threading.RLock()
         self._current: _Open | None = None
         self._ending = [self._opened(_session_of(spool), spool) for spool in sorted(folder.glob(f"*{SUFFIX}"))]
@@ -163,6 +186,13 @@ class Outbox:
                 raise RevisitError("no session was begun")
             self._current.stream.send(points, T_odom_sensor, stamp_ns)
 
+    def keep(self, anchor: NewAnchor) -> None:
+        """Put an anchor of the current session on the disk. Raises RevisitError."""
+        with self._lock:
+            if self._current is None:
+                raise RevisitError("no session was begun")
+            self._current.anchors.keep(anchor)
+
     @property
     def lost(self) -> str | None:
         """Why the current session cannot go on, None where it can: the next scan needs a new one."""
@@ -172,13 +202,20 @@ class Outbox:
         return None if reason not in LOST_SESSION else f"the service refuses the session: {error}"
 
     def tend(self) -> None:
-        """Finish and remove what is sent; open streams again that ended for a passing reason. Asks the service."""
+        """Post anchors, finish and remove what is sent; open streams again that ended for a passing reason.
+
+        Asks the service. Raises RevisitError where a file cannot be used.
+        """
         with self._lock:
             ending, current = list(self._ending), self._current
         for left in ending:
             self._tend_ending(left)
-        if current is not None and current.stream.error is not None and self.lost is None:
+        if current is None:
+            return
+        if current.stream.error is not None and self.lost is None:
             self._reopen(current)
+        elif current.stream.state.committed_seq:  # before its first scan the service does not have the session
+            self._post_anchors(current)
 
     def _tend_ending(self, left: _Open) -> None:
         if left.stream.error is not None:
@@ -186,14 +223,30 @@ class Outbox:
                 self._give_up(left, left.stream.error)
             else:
                 self._reopen(left)
-        elif left.stream.state.pending == 0:
-            try:
-                if left.stream.state.committed_seq:
-                    self._sessions.finish(left.name)
-            except ApiError as error:
-                if error.reason not in LOST_SESSION:
-                    return  # at the next time
+        elif left.stream.state.pending == 0 and self._finished(left):
             self._remove(left)
+
+    def _finished(self, left: _Open) -> bool:
+        """Whether the service has all of a session and knows that it has ended, or does not have it any more."""
+        if not left.stream.state.committed_seq:
+            return True
+        error = self._post_anchors(left)
+        if error is None:
+            try:
+                self._sessions.finish(left.name)
+            except ApiError as refusal:
+                error = refusal
+        return error is None or error.reason in LOST_SESSION
+
+    def _post_anchors(self, item: _Open) -> ApiError | None:
+        """Post the anchors of a session; the error after which the rest is kept, None where none is left."""
+        try:
+            self._posting.empty(item.name, item.anchors)
+        except ApiError as error:
+            self._anchor_errors[item.name] = f"{item.anchors.waiting} anchors wait: {error}"
+            return error
+        self._anchor_errors.pop(item.name, None)
+        return None
 
     def _give_up(self, left: _Open, error: Exception) -> None:
         """Its scans stay in the file, and are told of; nothing more is tried before the next start."""
@@ -205,6 +258,10 @@ class Outbox:
     def _remove(self, left: _Open) -> None:
         with self._lock:
             self._ending = [other for other in self._ending if other is not left]
+            self._anchor_errors.pop(left.name, None)
+            if left.anchors.waiting:
+                log.warning("the service does not have %s: %d anchors are gone", left.name, left.anchors.waiting)
+                self._anchors_gone += left.anchors.waiting
             left.close()
             for file in left.spool.parent.glob(f"{left.spool.name}*"):
                 file.unlink(missing_ok=True)
@@ -227,6 +284,7 @@ class Outbox:
             current, all_open = self._current, [*self._ending, *([self._current] if self._current else [])]
             states = [item.stream.state for item in all_open]
             errors = [str(item.stream.error) for item in all_open if item.stream.error is not None]
+            errors += self._anchor_errors.values()
             return OutboxState(
                 session=current.name if current else "",
                 pending=sum(state.pending for state in states),
@@ -234,6 +292,9 @@ class Outbox:
                 committed_seq=current.stream.state.committed_seq if current else None,
                 error="; ".join(errors),
                 stuck=tuple(sorted(self._stuck)),
+                anchors_waiting=sum(item.anchors.waiting for item in all_open),
+                anchors_stored=self._posting.stored,
+                anchors_lost=self._posting.refused + self._anchors_gone,
             )
 
     def close(self) -> None:
@@ -259,9 +320,11 @@ class Outbox:
         return self._opened(self._name(session_id), spool)
 
     def _opened(self, name: str, spool: Path) -> _Open:
-        stack = contextlib.ExitStack()
-        stream = stack.enter_context(self._sessions.stream(name, spool, _storey_of(spool)))
-        return _Open(name, spool, stream, stack.close)
+        with contextlib.ExitStack() as stack:
+            stream = stack.enter_context(self._sessions.stream(name, spool, _storey_of(spool)))
+            anchors = KeptAnchors(spool.with_name(spool.name + ANCHORS_SUFFIX))
+            stack.callback(anchors.close)
+            return _Open(name, spool, stream, anchors, stack.pop_all().close)
 
     def _path(self, session_id: str) -> Path:
         return self._folder / f"{session_id}{SUFFIX}"

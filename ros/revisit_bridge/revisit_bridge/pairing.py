@@ -32,6 +32,9 @@ class PoseSource(Protocol):
     def sensor_pose(self, sensor_frame: str, stamp: int) -> se3.Matrix4 | Unknown:
         """T_odom_sensor (4, 4) at a time in nanoseconds."""
 
+    def posed_frame(self, sensor_frame: str) -> str:
+        """The frame of the robot that `sensor_pose` places, "" where nobody names it."""
+
 
 class Mountings(Protocol):
     """How frames of the robot lie in each other: TF."""
@@ -50,6 +53,10 @@ class TransformPoses:
     def sensor_pose(self, sensor_frame: str, stamp: int) -> se3.Matrix4 | Unknown:
         """See PoseSource."""
         return self.transforms(self.odom_frame, sensor_frame, stamp)
+
+    def posed_frame(self, sensor_frame: str) -> str:
+        """See PoseSource."""
+        return sensor_frame
 
 
 @dataclass
@@ -83,10 +90,15 @@ class OdometryPoses:
         if isinstance(T_odom_body, Unknown):
             return T_odom_body
         body = self._poses[-1].child
-        if body in ("", sensor_frame) or sensor_frame in ("", self.odom_frame):
+        if body == "" or self.posed_frame(sensor_frame) == body:
             return T_odom_body
         T_body_sensor = self.transforms(body, sensor_frame, stamp)
         return T_body_sensor if isinstance(T_body_sensor, Unknown) else T_odom_body @ T_body_sensor
+
+    def posed_frame(self, sensor_frame: str) -> str:
+        """See PoseSource. Clouds without a frame, and those that are registered, are taken to the body's."""
+        body = self._poses[-1].child if self._poses else ""
+        return body if sensor_frame in ("", self.odom_frame) else sensor_frame
 
     def _body_pose(self, stamp: int) -> se3.Matrix4 | Unknown:
         """T_odom_body on the screw motion between the two messages around a time."""

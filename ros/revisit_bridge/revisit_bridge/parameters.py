@@ -33,6 +33,9 @@ class Parameters:
         True, "move points that have times to the stamp of their cloud; false: it was done before"
     )
     odometry_topic: str = _parameter("", "nav_msgs/Odometry; empty: poses are taken from TF")
+    fix_topic: str = _parameter(
+        "", "sensor_msgs/NavSatFix; the mounting of its frame is taken from TF. Empty: no fixes of satellites"
+    )
     odom_frame: str = _parameter("odom", "frame that moves smoothly, z up; with `odometry_topic` its header says it")
     map_frame: str = _parameter("map", "parent of the published transform")
     pose_wait_s: float = _parameter(2.0, "seconds that a cloud waits for its pose, then it is left out")

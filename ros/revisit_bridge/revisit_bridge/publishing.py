@@ -15,6 +15,7 @@ from revisit.sdk.resources import RelocalisedPose, Submap
 from revisit_bridge.answers import UNMEASURED, Answer, Correction, Loop
 from revisit_bridge.map_grid import MapGrid
 from revisit_bridge.outbox import OutboxState
+from revisit_bridge.sightings import Sightings
 
 ODOMETRY_SHARE = 0.01
 """Of the way between two submaps that the odometry is assumed to be wrong by; nobody has measured it."""
@@ -107,12 +108,17 @@ def grid_message(types: MessageTypes, made: MapGrid, map_frame: str, stamp_ns: i
     return types.OccupancyGrid(header=_header(types, stamp_ns, map_frame), info=info, data=values[::-1].ravel())
 
 
-def status_message(types: MessageTypes, state: OutboxState, error: str, left_out: int, stamp_ns: int) -> Any:
+def status_message(
+    types: MessageTypes, state: OutboxState, error: str, left_out: int, sightings: Sightings, stamp_ns: int
+) -> Any:
     """DiagnosticArray: what waits, what is stored, and what is wrong."""
     problem = error or state.error or (f"refused for good: {', '.join(state.stuck)}" if state.stuck else "")
     values = {
         "session": state.session, "scans waiting": state.pending, "last scan stored": state.committed_seq or 0,
         "scans refused": state.dead_letters, "clouds without a pose": left_out,
+        "anchors waiting": state.anchors_waiting, "anchors stored": state.anchors_stored,
+        "anchors lost": state.anchors_lost, "fixes without a place": sightings.no_place,
+        "fixes left out": sightings.left_out,
     }  # fmt: skip
     status = types.DiagnosticStatus(
         level=types.warning if problem else types.ok,

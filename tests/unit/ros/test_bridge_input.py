@@ -196,6 +196,9 @@ class SentScans(list):
     def close(self) -> None:
         pass
 
+    def keep(self, _anchor: object) -> None:
+        pass
+
     def send(self, points: np.ndarray, *_: object) -> None:
         self.append(points)
 

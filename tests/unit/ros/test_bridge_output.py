@@ -98,12 +98,14 @@ def test_the_transform_is_that_of_the_odometry_frame_in_the_map(store, types) ->
     [("", (), 0, "ok"), ("UNREACHABLE", (), 1, "UNREACHABLE"), ("", ("maps/m/sessions/x",), 1, "refused for good")],
 )
 def test_the_status_says_what_is_wrong(store, types, error, stuck, level, text) -> None:
-    state = OutboxState("maps/m/sessions/tue", 12, 1, 40, "", stuck)
-    message = sent(store, status_message(types, state, error, 3, SECOND), "diagnostic_msgs/msg/DiagnosticArray")
+    state = OutboxState("maps/m/sessions/tue", 12, 1, 40, "", stuck, anchors_lost=2)
+    seen = SimpleNamespace(no_place=5, left_out=6)
+    message = sent(store, status_message(types, state, error, 3, seen, SECOND), "diagnostic_msgs/msg/DiagnosticArray")
     (status,) = message.status
     assert (status.level, text in status.message) == (level, True)
     told = {item.key: item.value for item in status.values}
     assert told["scans waiting"] == "12" and told["clouds without a pose"] == "3"
+    assert (told["anchors lost"], told["fixes without a place"], told["fixes left out"]) == ("2", "5", "6")
 
 
 class Told:

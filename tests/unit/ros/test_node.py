@@ -129,6 +129,7 @@ def made(monkeypatch, tmp_path):
         kinds = {name.rpartition("/")[2]: kind for name, kind in ros.types.items() if name.startswith(f"{package}/")}
         module(package)
         module(f"{package}.msg", **kinds)
+    module("revisit_msgs.srv", AddAnchor=object)
     module("std_srvs")
     module("rcl_interfaces")
     module("rcl_interfaces.msg", SetParametersResult=lambda successful, reason="": (successful, reason))
@@ -277,6 +278,39 @@ def test_a_version_of_the_map_is_asked_for_and_a_refusal_goes_to_the_log(made) -
     eventually(lambda: any(line.startswith("no new version of the map") for line in node.logged))
 
 
+def test_fixes_are_taken_where_a_topic_is_named_and_what_waits_is_told(made, monkeypatch) -> None:
+    ros, without, _ = made
+    assert "fix" not in without.subscriptions_made
+    without.destroy_node()
+    monkeypatch.setattr(FakeNode, "overrides", FakeNode.overrides | {"fix_topic": "fix"})
+    node = sys.modules["revisit_bridge.node"].BridgeNode()
+    try:
+        kind, take_fix = node.subscriptions_made["fix"]
+        assert kind is ros.types["sensor_msgs/msg/NavSatFix"]
+        for tenth in range(3):
+            stamp = SECOND + tenth * SECOND // 10
+            node.subscriptions_made["points"][1](ros.cloud(np.ones((50, 3)), stamp, "lidar"))
+            node.subscriptions_made["odometry"][1](ros.odometry(se3.from_yaw(0.0, (2.0 * tenth, 0.0, 0.0)), stamp))
+            take_fix(ros.fix(stamp, "lidar", status=-1 if tenth == 1 else 0))
+        for timer in node.timers:
+            timer()
+        told = {item.key: item.value for item in node.publishers_made["/diagnostics"][0].status[0].values}
+        assert (told["anchors waiting"], told["fixes without a place"], told["fixes left out"]) == ("2", "1", "0")
+    finally:
+        node.destroy_node()
+
+
+def test_a_point_is_added_by_a_service_and_kept(made) -> None:
+    ros, node, _ = made
+    asked = ros.add_anchor("door-7", (4.0, 0.0, 0.0), local_m=(1.0, 2.0, 3.0))
+    answer = node.services["~/add_anchor"](asked, SimpleNamespace())
+    assert not answer.success and "there was no scan" in answer.message
+    node.subscriptions_made["points"][1](ros.cloud(np.ones((50, 3)), SECOND, "lidar"))
+    node.subscriptions_made["odometry"][1](ros.odometry(np.eye(4), SECOND))
+    assert node.services["~/add_anchor"](asked, SimpleNamespace()).success
+    assert node.bridge.outbox.state.anchors_waiting == 1
+
+
 @pytest.fixture
 def managed(made):
     """A lifecycle node over the same stand-ins, unconfigured."""
@@ -297,7 +331,7 @@ def test_a_managed_node_takes_clouds_in_only_while_it_is_active(managed) -> None
     assert node.on_configure(None) == "success" and connected(node) == (0, 0, 0, 4)
     sessions = []
     for start_s in (1, 2):  # sessions go on over a short time of rest
-        assert node.on_activate(None) == "success" and connected(node) == (2, 4, 3, 4)
+        assert node.on_activate(None) == "success" and connected(node) == (2, 5, 3, 4)
         node.subscriptions_made["points"][1](ros.cloud(np.ones((50, 3)), SECOND * start_s, "lidar"))
         node.subscriptions_made["odometry"][1](ros.odometry(np.eye(4), SECOND * start_s))
         for timer in node.timers:

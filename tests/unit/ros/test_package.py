@@ -69,8 +69,8 @@ def test_the_launch_file_sets_what_exists() -> None:
 
 def test_every_message_is_generated_and_every_file_installed() -> None:
     cmake = (ROS / "revisit_msgs/CMakeLists.txt").read_text()
-    assert set(re.findall(r"msg/\w+\.msg", cmake)) == {
-        f"msg/{file.name}" for file in (ROS / "revisit_msgs/msg").iterdir()
+    assert set(re.findall(r"(?:msg|srv)/\w+\.(?:msg|srv)", cmake)) == {
+        f"{kind}/{file.name}" for kind in ("msg", "srv") for file in (ROS / "revisit_msgs" / kind).iterdir()
     }
     setup = (BRIDGE / "setup.py").read_text()
     assert all((BRIDGE / name).is_file() for name in ("resource/revisit_bridge", "package.xml", "setup.cfg"))
