@@ -16,6 +16,7 @@ from revisit.service.domain.errors import NotFound, StillDeleting
 from revisit.service.domain.identity import SessionKey
 from revisit.service.engines.local.sqlite.transactions import SqliteTransactions
 from revisit.service.engines.local.vector_index import PlaceVectorIndex
+from revisit.service.engines.sql.repositories import SqlRepository
 from revisit.service.features.catalogue.maps import CreateMap
 from revisit.service.features.catalogue.sessions import CreateSession
 from revisit.service.features.deletion import erasure
@@ -103,6 +104,27 @@ async def test_no_transaction_of_a_deletion_changes_many_rows(tmp_path, monkeypa
     assert sum(changed) > SCANS
     assert max(changed) <= MOST_ROWS
     assert run(tmp_path / "revisit.db", "SELECT count(*) FROM scans") == [(0,)]
+
+
+@pytest.mark.parametrize(("ms_a_row", "at_a_time"), [(0.01, 300), (1, 40), (10, 15)])
+async def test_portions_are_as_many_rows_as_the_machine_deletes_in_a_moment(tmp_path, monkeypatch, ms_a_row, at_a_time):
+    world, deleted = sqlite_world(tmp_path), []
+    delete_some = SqlRepository.delete_some
+
+    def noted(*asked):
+        deleted.append(delete_some(*asked))
+        return deleted[-1]
+
+    monkeypatch.setattr(SqlRepository, "delete_some", noted)
+    monkeypatch.setattr(erasure, "_now_s", lambda: ms_a_row * sum(deleted) / 1000)
+    await open_session(world)
+    fill_with_scans(world, 800)
+    await removed(world, "session")
+    await world.context.erasure.all()
+    world.context.transactions.close()
+    of_scans = [rows for rows in deleted if rows > 1]
+    assert of_scans[0] == 300 and set(of_scans[4:-1]) <= {at_a_time}
+    assert sum(deleted) > 800
 
 
 @pytest.mark.parametrize("what", ["session", "map"])

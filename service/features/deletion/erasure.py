@@ -1,7 +1,8 @@
 """Erasure: marked rows go, a portion in each transaction, with turns for other writers in between.
 
-A portion is small enough that nobody waits long for it, and after each nothing is written for as long as it took. A
-crash leaves the mark: the rows that are left are nobody's to see, and go after the next start.
+A portion is small enough that nobody waits long for it: one that took long, on a busy machine, makes the next ones
+smaller. After each nothing is written for as long as it took. A crash leaves the mark: the rows that are left are
+nobody's to see, and go after the next start.
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ import asyncio
 import time
 from collections import Counter
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from functools import partial
 from typing import TypeVar
 
@@ -43,14 +45,35 @@ SUBMAPS = 100
 VERSIONS = 2
 """Rows of one that hold the poses of a session, or the verdicts of a map: megabytes each."""
 
+PORTION_S = 0.04
+"""Longest time of a portion's statements, by the clock; the commit follows. The next portions are sized by it."""
+
+LEAST_SHARE = 0.05
+"""Least share of its rows that a portion is made smaller to: each statement takes its time however few they are."""
+
 AWAITED_S = 5.0
 """Longest wait of a client for the end of its deletion, which goes on without it."""
+
+_now_s = time.perf_counter
 
 R = TypeVar("R", bound=Numbered)
 
 log = structlog.get_logger(__name__)
 
-Step = Callable[[UnitOfWork, DeletionRecord, int], bool]
+
+@dataclass(frozen=True)
+class Portion:
+    """One transaction of a deletion, begun at `at_ns`: of the rows that one deletes at most, this `share`."""
+
+    at_ns: int
+    share: float
+
+    def most(self, rows: int) -> int:
+        """How many of `rows`, one at least."""
+        return max(1, round(self.share * rows))
+
+
+Step = Callable[[UnitOfWork, DeletionRecord, Portion], bool]
 """Deletes a portion, in a unit of work that sees everything, and releases the blobs that its rows named; whether there
 was something of this kind.
 """
@@ -65,6 +88,7 @@ class Erasure:
         self._clock = clock
         self._turn = asyncio.Lock()
         self._under_way: dict[int, asyncio.Task[None]] = {}
+        self._share = 1.0
 
     async def all(self) -> None:
         """Erase everything that is marked: leftovers of an earlier run, or of a client that did not wait."""
@@ -114,8 +138,9 @@ class Erasure:
         """Delete the next rows; whether there were any."""
         async with self._turn:
             began_s = time.perf_counter()
-            now_ns = self._clock.wall_ns()
-            found = await self._storage.write(lambda uow: step(uow.everything, deletion, now_ns))
+            portion = Portion(self._clock.wall_ns(), self._share)
+            found, held_s = await self._storage.write(partial(_timed, step=step, deletion=deletion, portion=portion))
+            self._share = next_share(self._share, held_s)
             took_s = time.perf_counter() - began_s
             failpoint("delete.after_rows")
             if found:
@@ -123,44 +148,59 @@ class Erasure:
         return found
 
 
+def next_share(share: float, held_s: float) -> float:
+    """The share of the portion after one whose statements took `held_s`: it grows by half at most, and shrinks to a
+    quarter at most.
+    """
+    fitting = min(max(PORTION_S / max(held_s, 1e-6), 0.25), 1.5)
+    return min(max(share * fitting, LEAST_SHARE), 1.0)
+
+
+def _timed(uow: UnitOfWork, step: Step, deletion: DeletionRecord, portion: Portion) -> tuple[bool, float]:
+    """Do a step; whether there was something, and how long its statements took, seconds."""
+    began_s = _now_s()
+    found = step(uow.everything, deletion, portion)
+    return found, _now_s() - began_s
+
+
 def _marked(uow: UnitOfWork, tenant: TenantId, map_id: str, ids: Sequence[str]) -> list[DeletionRecord]:
     found = (uow.deletions.get(tenant, map_id, session_id) for session_id in ids)
     return [deletion for deletion in found if deletion is not None]
 
 
-def _submaps(uow: UnitOfWork, deletion: DeletionRecord, now_ns: int) -> bool:
+def _submaps(uow: UnitOfWork, deletion: DeletionRecord, portion: Portion) -> bool:
     """Submaps with their loop closures, which go first; their jobs end."""
-    tenant = deletion.tenant
-    submaps = uow.submaps.some(tenant, SUBMAPS, **_of(deletion))
+    tenant, rows = deletion.tenant, portion.most(ROWS)
+    submaps = uow.submaps.some(tenant, portion.most(SUBMAPS), **_of(deletion))
     if not submaps:
         return False
     numbers = [submap.number for submap in submaps]
-    for rows in (uow.loops, uow.loop_events):
+    for loops in (uow.loops, uow.loop_events):
         for end in ("query_number", "match_number"):
-            if rows.delete_some(tenant, ROWS, end, numbers) == ROWS:
+            if loops.delete_some(tenant, rows, end, numbers) == rows:
                 return True
-    drop_jobs(uow, submaps, now_ns)
-    uow.submaps.delete_some(tenant, SUBMAPS, "number", numbers)
+    drop_jobs(uow, submaps, portion.at_ns)
+    uow.submaps.delete_some(tenant, len(numbers), "number", numbers)
     uow.blobs.release(tenant, {blob for submap in submaps for blob in blobs_of_submap(submap)})
     return True
 
 
-def _scans(uow: UnitOfWork, deletion: DeletionRecord, _: int) -> bool:
-    scans = _without(uow.scans, deletion, ROWS)
+def _scans(uow: UnitOfWork, deletion: DeletionRecord, portion: Portion) -> bool:
+    scans = _without(uow.scans, deletion, portion.most(ROWS))
     uow.blobs.release(deletion.tenant, blobs_of_scans(scans))
     return bool(scans)
 
 
-def _anchors(uow: UnitOfWork, deletion: DeletionRecord, _: int) -> bool:
-    return bool(_without(uow.anchors, deletion, ROWS))
+def _anchors(uow: UnitOfWork, deletion: DeletionRecord, portion: Portion) -> bool:
+    return bool(_without(uow.anchors, deletion, portion.most(ROWS)))
 
 
-def _radio(uow: UnitOfWork, deletion: DeletionRecord, _: int) -> bool:
-    return bool(_without(uow.radio_readings, deletion, ROWS))
+def _radio(uow: UnitOfWork, deletion: DeletionRecord, portion: Portion) -> bool:
+    return bool(_without(uow.radio_readings, deletion, portion.most(ROWS)))
 
 
-def _poses(uow: UnitOfWork, deletion: DeletionRecord, _: int) -> bool:
-    gone = _without(uow.session_poses, deletion, VERSIONS)
+def _poses(uow: UnitOfWork, deletion: DeletionRecord, portion: Portion) -> bool:
+    gone = _without(uow.session_poses, deletion, portion.most(VERSIONS))
     if deletion.session_id:
         submaps: Counter[int] = Counter()
         for row in gone:
@@ -169,36 +209,36 @@ def _poses(uow: UnitOfWork, deletion: DeletionRecord, _: int) -> bool:
     return bool(gone)
 
 
-def _tiles(uow: UnitOfWork, deletion: DeletionRecord, _: int) -> bool:
-    tiles = [] if deletion.session_id else _without(uow.map_tiles, deletion, ROWS)
+def _tiles(uow: UnitOfWork, deletion: DeletionRecord, portion: Portion) -> bool:
+    tiles = [] if deletion.session_id else _without(uow.map_tiles, deletion, portion.most(ROWS))
     uow.blobs.release(deletion.tenant, {blob_of_tile(tile) for tile in tiles})
     return bool(tiles)
 
 
-def _files(uow: UnitOfWork, deletion: DeletionRecord, _: int) -> bool:
-    files = [] if deletion.session_id else _without(uow.map_files, deletion, ROWS)
+def _files(uow: UnitOfWork, deletion: DeletionRecord, portion: Portion) -> bool:
+    files = [] if deletion.session_id else _without(uow.map_files, deletion, portion.most(ROWS))
     uow.blobs.release(deletion.tenant, {blob_of_file(file) for file in files})
     return bool(files)
 
 
-def _plans(uow: UnitOfWork, deletion: DeletionRecord, _: int) -> bool:
-    plans = [] if deletion.session_id else _without(uow.plans, deletion, ROWS)
+def _plans(uow: UnitOfWork, deletion: DeletionRecord, portion: Portion) -> bool:
+    plans = [] if deletion.session_id else _without(uow.plans, deletion, portion.most(ROWS))
     uow.blobs.release(deletion.tenant, {blob_of_plan(plan) for plan in plans})
     return bool(plans)
 
 
-def _versions(uow: UnitOfWork, deletion: DeletionRecord, _: int) -> bool:
-    gone = [] if deletion.session_id else _without(uow.map_versions, deletion, VERSIONS)
+def _versions(uow: UnitOfWork, deletion: DeletionRecord, portion: Portion) -> bool:
+    gone = [] if deletion.session_id else _without(uow.map_versions, deletion, portion.most(VERSIONS))
     return bool(gone)
 
 
-def _sessions(uow: UnitOfWork, deletion: DeletionRecord, _: int) -> bool:
+def _sessions(uow: UnitOfWork, deletion: DeletionRecord, portion: Portion) -> bool:
     """Sessions themselves, empty by now; with those of a map the corrections ahead of its versions."""
     uow.early_corrections.delete(deletion.tenant, **_of(deletion))
-    return bool(_without(uow.sessions, deletion, ROWS))
+    return bool(_without(uow.sessions, deletion, portion.most(ROWS)))
 
 
-def _mark(uow: UnitOfWork, deletion: DeletionRecord, _: int) -> bool:
+def _mark(uow: UnitOfWork, deletion: DeletionRecord, _: Portion) -> bool:
     """The map itself, if it goes, and the mark: from now on the id is free again."""
     tenant, of_map = deletion.tenant, {"map_id": deletion.map_id}
     if deletion.session_id:
