@@ -46,6 +46,7 @@ from tests.support.fake_merger import EasyMerger
 from tests.support.fake_recogniser import CANNOT_BE_DESCRIBED
 from tests.support.made_pictures import a_png
 from tests.support.service_world import TENANT, World, cloud_points, open_session, pose, scan, sqlite_world, submap
+from tests.support.state import ON_POSTGRES
 from tests.support.stepped_clock import PassingClock
 
 POSTED = SessionKey("town", "posted")
@@ -183,8 +184,10 @@ async def _merge_and_take_back(world: World, history: History) -> None:
 
 def undisturbed(home: Path, log: Path, boot: str = "boot-1") -> None:
     """A drive from its beginning to its end over the store in `home`; what happened is appended to `log`."""
-    migrate(home / "revisit.db")
-    world = sqlite_world(home, clock=PassingClock(boot_id=boot))
+    if not ON_POSTGRES:
+        migrate(home / "revisit.db")
+    # The time of a server goes on, whatever is started again.
+    world = sqlite_world(home, clock=PassingClock(boot_id=boot, ms=1_000_000 if boot == "boot-1" else 1_000_000_000))
     try:
         asyncio.run(drive(world, History(log)))
     finally:

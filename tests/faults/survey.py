@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 from collections import Counter
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
@@ -19,6 +20,8 @@ from revisit.service.engines.local.files.blobs import FileBlobStore
 from revisit.service.engines.local.sqlite.connections import writer_engine
 from revisit.service.engines.local.sqlite.engine import SqliteEngine
 from revisit.service.engines.local.sqlite.store_clock import StoreClock
+from revisit.service.engines.postgres.connections import reader_engine
+from revisit.service.engines.postgres.engine import PostgresEngine, server_ms
 from revisit.service.engines.sql.unit_of_work import SqlUnitOfWork
 from revisit.service.features.deletion.blob_references import blobs_of_submap
 from revisit.service.features.graph.session_poses import unpack_loops
@@ -29,6 +32,7 @@ from revisit.service.ports.index import IndexChange
 from revisit.service.ports.transactions import UnitOfWork
 from tests.faults.history import History, Stored, sequence_violations, violations
 from tests.support.records import TENANT
+from tests.support.state import ON_POSTGRES, database_of
 
 
 @dataclass(frozen=True)
@@ -48,21 +52,26 @@ class Survey:
 
 
 def survey(home: Path, tenant: TenantId = TENANT, blobs: BlobStore | None = None) -> Survey:
-    """Open the store with the product's own adapters, as the one writer would, and look at everything in it.
-
-    `blobs` are those beside the database, by default the files in `home`.
-    """
-    engine = _engine(home / "revisit.db")
+    """Look at everything in a store. `blobs` are those beside the database, by default the files in `home`."""
     blobs = blobs or FileBlobStore(home / "blobs")
+    with opened(home) as (uow, connection):
+        found = _survey(uow, blobs, tenant)
+        # A server keeps its references itself.
+        found.problems.extend([] if ON_POSTGRES else _file_problems(connection))
+    return found
+
+
+@contextmanager
+def opened(home: Path) -> Iterator[tuple[UnitOfWork, Connection]]:
+    """The store of a home, opened with the product's own adapters as the one writer would."""
+    clock = SystemClock()
+    engine = reader_engine(database_of(home)) if ON_POSTGRES else _engine(home / "revisit.db")
+    speaks = PostgresEngine(server_ms) if ON_POSTGRES else SqliteEngine(StoreClock(clock))
     try:
         with engine.begin() as connection:
-            clock = SystemClock()
-            uow = SqlUnitOfWork(connection, SqliteEngine(StoreClock(clock)), 10_000, clock)
-            found = _survey(uow, blobs, tenant)
-            found.problems.extend(_file_problems(connection))
+            yield SqlUnitOfWork(connection, speaks, 10_000, clock), connection
     finally:
         engine.dispose()
-    return found
 
 
 @lru_cache(maxsize=1)

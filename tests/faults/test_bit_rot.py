@@ -21,6 +21,7 @@ from revisit.service.ports.blobs import CLOUD_BLOB, MAP_LAYOUT_BLOB, NEURAL_MAP_
 from tests.faults.drive import undisturbed
 from tests.support.campaigns import Campaign, sizes
 from tests.support.service_world import SESSION, TENANT, World, open_session, sqlite_world, submap
+from tests.support.state import of_sqlite
 
 SERVED_AS = {CLOUD_BLOB: DownloadKind.POINTS, NEURAL_MAP_BLOB: DownloadKind.NEURAL}
 """What a client asks for to be given a stored file; the places are for the workers alone."""
@@ -65,6 +66,7 @@ def flipped(data: bytes, rng: random.Random) -> bytes:
     return bytes(changed)
 
 
+@of_sqlite("what rows of a server name is examined in test_postgres_examination")
 def test_a_flipped_bit_of_any_kind_of_blob_is_noticed_and_the_others_are_whole(tmp_path):
     (tmp_path / "home").mkdir()
     undisturbed(tmp_path / "home", tmp_path / "log")

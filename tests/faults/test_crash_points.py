@@ -5,9 +5,7 @@ from __future__ import annotations
 import ast
 import os
 import signal
-import sqlite3
 from collections import Counter
-from contextlib import closing
 from pathlib import Path
 
 import pytest
@@ -15,10 +13,12 @@ import pytest
 from revisit.service.failpoints import POINTS, arm
 from tests.faults.drive import DEGENERATE, undisturbed
 from tests.faults.history import History
-from tests.faults.survey import survey
+from tests.faults.survey import opened, survey
 from tests.support.forked import processes
 from tests.support.made_database import made_database
 from tests.support.patience import PATIENCE_S
+from tests.support.records import TENANT
+from tests.support.state import ON_POSTGRES, database_of
 
 ROOT = Path(__file__).resolve().parents[2]
 END = Counter({"DESCRIBED": 8, "FAILED": 1})
@@ -58,7 +58,11 @@ def recovered(home: Path) -> tuple[Counter[str], list[str]]:
 @pytest.fixture
 def home(folder) -> Path:
     """With a database of today's schema: kills of those that make one are in `test_killed_migration`."""
-    return made_database(folder / "home" / "revisit.db").parent
+    if ON_POSTGRES:
+        database_of(folder / "home")
+    else:
+        made_database(folder / "home" / "revisit.db")
+    return folder / "home"
 
 
 def calls_of_failpoint() -> list[str]:
@@ -80,8 +84,8 @@ def test_an_undisturbed_drive_leaves_nothing_to_complain_about(home):
 
 def attempts(home: Path) -> dict[str, int]:
     """How often each operation was run."""
-    with closing(sqlite3.connect(home / "revisit.db")) as connection:
-        return dict(connection.execute("SELECT operation_id, attempts FROM jobs"))
+    with opened(home) as (uow, _):
+        return {job.operation_id: job.attempts for job in uow.jobs.find(TENANT)}
 
 
 def test_a_drive_that_is_repeated_runs_none_of_its_jobs_again(home):
@@ -111,6 +115,8 @@ def test_a_kill_at_every_visit_of_any_point_loses_and_doubles_nothing(folder, po
     for visit in range(1, 200):
         home = folder / str(visit) / "home"
         home.parent.mkdir()
+        if ON_POSTGRES:
+            database_of(home)
         status = exit_status(home, f"{point}=kill@{visit}")
         assert status in (-signal.SIGKILL, 0)
         assert recovered(home) == (END, []), visit

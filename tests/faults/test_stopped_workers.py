@@ -22,6 +22,7 @@ from tests.support.fake_recogniser import NOWHERE
 from tests.support.patience import eventually
 from tests.support.processes import ForkedService, WorkerProcess, is_free
 from tests.support.service_world import pose
+from tests.support.state import ON_POSTGRES
 from tests.support.town import SESSION
 
 MISTAKEN = "tests.support.fake_recogniser:load_mistaken"
@@ -33,8 +34,11 @@ def is_stopped(pid: int) -> bool:
 
 @contextmanager
 def stopped(worker: WorkerProcess, home: Path) -> Iterator[None]:
-    """The worker stands still within the block, but not in a transaction: that would hold up everybody."""
-    locks = (home / "revisit.db.writer", home / "revisit.db.turn")
+    """The worker stands still within the block, but not in a transaction: that would hold up everybody.
+
+    A server ends the transaction of such a worker after 10 s.
+    """
+    locks = () if ON_POSTGRES else (home / "revisit.db.writer", home / "revisit.db.turn")
     while True:
         worker.send(signal.SIGSTOP)
         eventually(lambda: is_stopped(worker.pid), "it does not stop")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import random
 import signal
-import sqlite3
 import subprocess
 import sys
 import time
@@ -18,10 +17,11 @@ from revisit.core.config import SubmapConfig
 from revisit.core.scan_marks import ScanMarks, marked_rows, way_along
 from tests.faults import thin_robot
 from tests.faults.proxy import Fault, bad_link
-from tests.faults.survey import survey
+from tests.faults.survey import opened, survey
 from tests.support.campaigns import Campaign, seed_of_this_run, sizes
 from tests.support.patience import PATIENCE_S, eventually
 from tests.support.processes import ROOT, ForkedService
+from tests.support.records import TENANT
 from tests.support.town import SESSION
 
 MARKS = ScanMarks.of(SubmapConfig())
@@ -92,9 +92,9 @@ def _wait_for_a_scan(service: ForkedService, robot: Robot) -> None:
 
 def stored(folder: Path) -> list[tuple[int, float]]:
     """Row and metres travelled of the scans in the store, in the order of their numbers."""
-    with closing(sqlite3.connect(folder / "home" / "revisit.db")) as database:
-        found = database.execute("SELECT stamp_ns, travelled_m FROM scans ORDER BY seq").fetchall()
-    return [(stamp // 10**8 - 1, travelled_m) for stamp, travelled_m in found]
+    with opened(folder / "home") as (uow, _):
+        found = sorted(uow.scans.find(TENANT), key=lambda scan: scan.seq)
+    return [(scan.stamp_ns // 10**8 - 1, scan.travelled_m) for scan in found]
 
 
 def least_rows(rows: int) -> list[int]:

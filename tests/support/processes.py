@@ -17,6 +17,7 @@ from typing import Any
 from revisit.service.settings import ForTests
 from tests.support.forked import ForkedProcess, serve
 from tests.support.patience import PATIENCE_S
+from tests.support.state import ON_POSTGRES, database_of
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -39,6 +40,8 @@ class _Logging:
             "REVISIT_RESERVE_MB": "0",
         }
         self._for_tests: dict[str, Any] = {}
+        if ON_POSTGRES and "database_url" not in settings:
+            settings["database_url"] = database_of(home).render_as_string(hide_password=False)
         self.set(**{"recogniser": "tests.support.fake_recogniser:load", **settings})
         self.events: list[dict[str, Any]] = []
         self.other_lines: list[str] = []

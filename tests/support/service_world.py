@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import os
 import threading
 import weakref
 from collections.abc import Awaitable
@@ -13,7 +12,6 @@ from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
-from sqlalchemy.engine import URL
 
 from revisit.core.config import PipelineConfig
 from revisit.formats import DecodedCloud
@@ -43,15 +41,13 @@ from tests.support.made_database import made_database
 from tests.support.memory.blobs import MemoryBlobStore
 from tests.support.memory.transactions import MemoryTransactions
 from tests.support.memory.vector_index import MemoryVectorIndex
+from tests.support.state import ON_POSTGRES, database_of
 from tests.support.stepped_clock import SteppedClock
 
 T = TypeVar("T")
 
 TENANT = DEFAULT_TENANT
 SESSION = SessionKey("town", "monday")
-
-ON_POSTGRES = os.environ.get("REVISIT_TEST_STATE") == "postgres"
-"""Whether all worlds keep their state in PostgreSQL, so that a suite shows that it holds there."""
 
 
 @dataclass
@@ -140,16 +136,11 @@ def postgres_world(clock: SteppedClock | None = None, **overrides) -> World:
 
 
 def postgres_transactions(rules: Policy, clock: SteppedClock, home: Path | None = None) -> PostgresTransactions:
-    """A new database on the server of this test process; that of a `home` which was there before."""
+    """A new database on the server of this test process, or that of a `home`."""
     from tests.support.postgres import shared_server
 
-    url = _databases.get(home) or shared_server().made_database()
-    if home is not None:
-        _databases[home] = url
+    url = shared_server().made_database() if home is None else database_of(home)
     return PostgresTransactions(url, lease_ms=rules.lease_ms, clock=clock, now_ms=lambda _: clock.ms)
-
-
-_databases: dict[Path | None, URL] = {}
 
 
 def _world(transactions, blobs, rules: Policy, clock: SteppedClock, disk: DiskSpace = UnlimitedDisk()) -> World:

