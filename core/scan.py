@@ -2,23 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from revisit.core.errors import BadField, DegenerateCloud, EmptyCloud, NonFinitePoints, OutOfRange
 from revisit.core.geometry import se3
+from revisit.core.point_columns import Columns, usable
 
 Points = NDArray[np.float32]
-Intensity = NDArray[np.float32]
 
 MIN_POINTS = 100
 MAX_COORDINATE_M = 10_000.0
 MAX_DROPPED_SHARE = 0.9
-
-MAX_INTENSITY = 65_535.0
-"""Of a return, in the unit of its sensor: 0 to 1, 0 to 255, or 16 bits."""
 
 _PLANE_ROWS = 6_000
 _PIECE = 60  # a whole number of times 2, 3, 4 and 5
@@ -38,14 +35,14 @@ class CloudReport:
 class Scan:
     """One sweep. `points` (n, 3) float32 in the sensor frame, metres; `stamp_ns` in the robot's clock.
 
-    `intensity` (n,) of the returns, 0 to `MAX_INTENSITY` in the unit of the sensor; None where it is not known.
+    `columns` of the returns (`core.point_columns`) are those that are known.
     """
 
     points: Points
     T_odom_sensor: se3.Matrix4
     stamp_ns: int
     report: CloudReport
-    intensity: Intensity | None = None
+    columns: Columns = field(default_factory=dict)
 
     @classmethod
     def validated(
@@ -53,19 +50,14 @@ class Scan:
         points: NDArray[np.floating],
         T_odom_sensor: NDArray[np.float64],
         stamp_ns: int,
-        intensity: NDArray[np.floating] | None = None,
+        columns: Columns | None = None,
     ) -> Scan:
         """A scan of finite, non-degenerate points. Raises as `validate_cloud` and `posed` do.
 
-        An intensity that cannot be used, or that is 0 everywhere, is left out: it costs no scan.
+        A column that cannot be used, or that is 0 everywhere, is left out: it costs no scan.
         """
         scan = cls.posed(*validate_cloud(points), T_odom_sensor, stamp_ns)
-        if intensity is None or not intensity.any():
-            return scan
-        try:
-            return replace(scan, intensity=validate_intensity(intensity, points))
-        except BadField:
-            return scan
+        return replace(scan, columns=usable(columns, points)) if columns else scan
 
     @classmethod
     def posed(cls, points: Points, report: CloudReport, T_odom_sensor: NDArray[np.float64], stamp_ns: int) -> Scan:
@@ -100,20 +92,6 @@ def validate_cloud(points: NDArray[np.floating]) -> tuple[Points, CloudReport]:
         raise OutOfRange(field="points")
     cloud = np.ascontiguousarray(kept, dtype=np.float32)
     return cloud, CloudReport(dropped, is_plane(cloud))
-
-
-def validate_intensity(intensity: NDArray[np.floating], points: NDArray[np.floating]) -> Intensity:
-    """The intensity (m,) float32 of the finite ones of the points (n, 3), of all of which it is given (n,).
-
-    Raises BadField for another shape, and for values that are not 0 to `MAX_INTENSITY`.
-    """
-    if intensity.shape != (len(points),):
-        raise BadField(f"intensity must be ({len(points)},), got {intensity.shape}", field="intensity")
-    finite = np.isfinite(points).all(axis=1)
-    kept = intensity if finite.all() else intensity[finite]
-    if not ((kept >= 0.0) & (kept <= MAX_INTENSITY)).all():
-        raise BadField(f"intensity must be 0 to {MAX_INTENSITY:,.0f}, and finite", field="intensity")
-    return np.ascontiguousarray(kept, dtype=np.float32)
 
 
 def _finite(points: NDArray[np.floating]) -> NDArray[np.floating]:

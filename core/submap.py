@@ -15,8 +15,9 @@ from revisit.core.errors import BadField, EmptyCloud
 from revisit.core.geometry import se3
 from revisit.core.geometry.level_frame import LevelFrame
 from revisit.core.geometry.upright import LEAST_LEAN_RAD
+from revisit.core.point_columns import Columns, at_rows, joined
 from revisit.core.sanity.ground import ground_lean
-from revisit.core.scan import MIN_POINTS, Intensity, Points, Scan
+from revisit.core.scan import MIN_POINTS, Points, Scan
 from revisit.core.scan_marks import ChosenScan, ScanMarks, Way, marked_rows
 
 
@@ -29,7 +30,7 @@ class Submap:
     T_odom_submap the pose of the middle scan;
     position (3,) float64 the mean position of the scans in the odometry frame.
     Once `levelled`, points, origins and T_odom_submap are those of the level frame, and T_scan_submap (4, 4) leads from
-    it back to that of the middle scan. `intensity` (n,) of the points, None where a scan has none; nothing rests on it.
+    it back to that of the middle scan. `columns` of the points are those that all scans have; nothing rests on them.
     Raises BadField where the arrays do not fit together.
     """
 
@@ -40,11 +41,12 @@ class Submap:
     T_odom_submap: se3.Matrix4
     position: NDArray[np.float64]
     T_scan_submap: se3.Matrix4 = field(default_factory=lambda: np.eye(4))
-    intensity: Intensity | None = None
+    columns: Columns = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        if self.intensity is not None and len(self.intensity) != len(self.points):
-            raise BadField("a submap needs one intensity for each point, or none at all", field="intensity")
+        for name, values in self.columns.items():
+            if len(values) != len(self.points):
+                raise BadField(f"a submap needs one {name} for each point, or none at all", field=name)
         if len(self.scan_index) != len(self.points) or len(self.stamps_ns) != len(self.origins):
             raise BadField(
                 "a submap needs one scan index for each point and one time stamp for each origin", field="points"
@@ -138,15 +140,15 @@ class Submap:
         T_submap_odom = se3.inverse(T_odom_submap)
         reach = config.min_range, config.max_range, config.max_range + config.tau
         points, ends, seen, given = np.empty((room, 3), dtype=np.float32), [0], [], 0
-        carried = list[Intensity | None]()
+        carried = list[Columns]()
         for scan in scans:
             given += len(scan.points)
             if given > room:
                 raise BadField(f"the scans of a submap have more than {room} points", field="points")
             T_submap_scan = T_submap_odom @ scan.T_odom_sensor
-            values = np.empty(0, np.float32) if scan.intensity is None else scan.intensity.copy()
-            kept = place_returns(T_submap_scan, scan.points, *reach, points[ends[-1] :], values)
-            carried.append(None if scan.intensity is None else values[:kept])
+            rows = np.arange(len(scan.points) if scan.columns else 0, dtype=np.int32)
+            kept = place_returns(T_submap_scan, scan.points, *reach, points[ends[-1] :], rows)
+            carried.append(at_rows(scan.columns, rows[:kept]))
             ends.append(ends[-1] + kept)
             seen.append((T_submap_scan[:3, 3], scan.T_odom_sensor[:3, 3], scan.stamp_ns))
         origins, positions, stamps_ns = zip(*seen, strict=True)
@@ -157,7 +159,7 @@ class Submap:
             stamps_ns=np.array(stamps_ns, dtype=np.int64),
             T_odom_submap=T_odom_submap,
             position=np.mean(positions, axis=0),
-            intensity=_joined(carried),
+            columns=joined(carried),
         )
 
     @classmethod
@@ -175,14 +177,8 @@ class Submap:
             stamps_ns=np.array([scan.stamp_ns], dtype=np.int64),
             T_odom_submap=scan.T_odom_sensor,
             position=scan.T_odom_sensor[:3, 3].copy(),
-            intensity=None if scan.intensity is None else scan.intensity[near],
+            columns=at_rows(scan.columns, near),
         )
-
-
-def _joined(parts: list[Intensity | None]) -> Intensity | None:
-    """The intensity of scans one after the other; None where one has none."""
-    known = [part for part in parts if part is not None]
-    return np.concatenate(known) if len(known) == len(parts) else None
 
 
 def _enough(points: Points, given: int) -> Points:

@@ -52,7 +52,7 @@ def load_submap(
             problem = error if isinstance(error, RevisitError) else MalformedBody(f"scan {index} cannot be read")
             continue
         # a thinned scan may have very few points: only the submap must have enough
-        scans.append(dataclasses.replace(scan, points=perturbation.thin(scan.points, index), intensity=None))
+        scans.append(dataclasses.replace(scan, points=perturbation.thin(scan.points, index), columns={}))
         used[id(scans[-1])] = index
     if not scans:
         raise problem

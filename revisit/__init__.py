@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from revisit.sdk.async_client import AsyncClient as AsyncClient
     from revisit.sdk.client import Client as Client
     from revisit.sdk.clouds import Cloud as Cloud
+    from revisit.sdk.clouds import PointCloud as PointCloud
     from revisit.sdk.errors import ApiError as ApiError
     from revisit.sdk.input_watch import SuspiciousInput as SuspiciousInput
     from revisit.sdk.picture import MapPicture as MapPicture
@@ -25,7 +26,8 @@ if TYPE_CHECKING:
     from revisit.sdk.time_limit import within as within
 
 __all__ = [
-    "ApiError", "AsyncClient", "Client", "Cloud", "MapPicture", "SuspiciousInput", "picture", "to_dataframe", "within",
+    "ApiError", "AsyncClient", "Client", "Cloud", "MapPicture", "PointCloud", "SuspiciousInput", "picture",
+    "to_dataframe", "within",
 ]  # fmt: skip
 
 _HOMES = {
@@ -34,6 +36,7 @@ _HOMES = {
     "Client": "revisit.sdk.client",
     "Cloud": "revisit.sdk.clouds",
     "MapPicture": "revisit.sdk.picture",
+    "PointCloud": "revisit.sdk.clouds",
     "SuspiciousInput": "revisit.sdk.input_watch",
     "picture": "revisit.sdk.picture",
     "to_dataframe": "revisit.sdk.tables",

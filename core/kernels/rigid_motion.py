@@ -9,7 +9,9 @@ from revisit.core.kernels.loops import loop
 
 Array = NDArray[np.float32]
 
-_NOTHING = np.empty(0, dtype=np.float32)
+Rows = NDArray[np.int32]
+
+_NONE = np.empty(0, dtype=np.int32)
 
 
 def moved_points(T_new_old: NDArray[np.float64], points: Array, *, in_place: bool = False) -> Array:
@@ -44,21 +46,21 @@ def place_returns(
     most: float,
     farthest: float,
     placed: Array,
-    carried: Array = _NOTHING,
+    rows: Rows = _NONE,
 ) -> int:
     """Put the returns (n, 3) of a scan in another frame into `placed` (at least n, 3); returns how many there are.
 
     Those whose range is not from `least` to `most` metres are left out, and so are those that lie farther than
-    `farthest` from the new origin. `carried` (n,), a value of each return, is thinned in the same way, in its place.
+    `farthest` from the new origin. `rows` (n,), a number of each return, is thinned in the same way, in its place.
     """
     given, moved = np.ascontiguousarray(points), placed[: len(points)]
     _move(T_new_scan, given.reshape(-1), moved.reshape(-1))
-    return _keep_near(given, moved, carried, least, most, farthest)
+    return _keep_near(given, moved, rows, least, most, farthest)
 
 
 @loop
-def _keep_near(points: Array, moved: Array, carried: Array, least: float, most: float, farthest: float) -> int:
-    """Move the rows of `moved` (n, 3) that stay to its beginning, and those of `carried` (n,) or (0,) with them.
+def _keep_near(points: Array, moved: Array, rows: Rows, least: float, most: float, farthest: float) -> int:
+    """Move the rows of `moved` (n, 3) that stay to its beginning, and those of `rows` (n,) or (0,) with them.
 
     Returns how many there are.
     """
@@ -71,7 +73,7 @@ def _keep_near(points: Array, moved: Array, carried: Array, least: float, most: 
         x, y, z = moved[n, 0], moved[n, 1], moved[n, 2]
         if x * x + y * y + z * z <= farthest * farthest:
             moved[count, 0], moved[count, 1], moved[count, 2] = x, y, z
-            if len(carried):
-                carried[count] = carried[n]
+            if len(rows):
+                rows[count] = rows[n]
             count += 1
     return count

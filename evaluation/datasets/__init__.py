@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 from revisit.core.errors import BadField
@@ -22,7 +23,7 @@ from revisit.evaluation.datasets.topic_choice import WantedTopics
 __all__ = [
     "AUTO", "FORMATS", "KISS_ICP", "BagRecording", "KittiRecording", "PosedClouds", "Recording", "WantedTopics",
     "findings_of", "name_of_scan", "notes_of", "open_bag", "open_cloud_folder", "open_kitti360", "open_mulran",
-    "open_nclt", "open_recording", "unposed_of", "write_kitti",
+    "open_nclt", "open_recording", "unposed_of", "with_columns", "write_kitti",
 ]  # fmt: skip
 
 FORMATS: dict[str, Callable[[Path], Recording]] = {
@@ -76,6 +77,13 @@ def open_recording(
         raise FileNotFoundError(
             f"a recording laid out as {file_format} has {error.filename}: it is not there"
         ) from error
+
+
+def with_columns(recording: Recording, columns: tuple[str, ...]) -> Recording:
+    """The recording whose scans have such columns beside their points, where its files tell them."""
+    if isinstance(recording, BagRecording | PosedClouds):
+        return replace(recording, columns=columns)
+    return recording
 
 
 def notes_of(recording: Recording) -> tuple[str, ...]:

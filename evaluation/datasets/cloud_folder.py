@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,6 +11,7 @@ from numpy.typing import NDArray
 
 from revisit.core.errors import BadField, MalformedBody
 from revisit.core.geometry import se3
+from revisit.core.point_columns import USUAL
 from revisit.evaluation.datasets.lidar_odometry import KISS_ICP, Report, odometry_of
 from revisit.evaluation.datasets.number_rows import MICROSECOND_DIGITS, nanoseconds, read_rows, read_times, read_words
 from revisit.evaluation.datasets.posed_clouds import (
@@ -89,9 +91,9 @@ def _stamps(folder: Path, files: list[Path]) -> Stamps:
     return _regular(len(files)) if named is None else named
 
 
-def read_cloud(file: Path) -> DecodedCloud:
+def read_cloud(file: Path, columns: Collection[str] = USUAL) -> DecodedCloud:
     """A cloud file, by the product's own parsers. Raises MalformedBody, UnsupportedEncoding."""
-    return decode_cloud(file.read_bytes(), media_type_for_suffix(file.suffix))
+    return decode_cloud(file.read_bytes(), media_type_for_suffix(file.suffix), wanted=columns)
 
 
 def _clouds(folder: Path) -> list[Path]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from revisit.core.errors import BadField, MalformedBody
 from revisit.core.geometry import se3
+from revisit.core.point_columns import USUAL
 from revisit.core.scan import Points, Scan
 from revisit.evaluation.datasets.number_rows import keyed_matrix, read_rows, read_times, read_words
 from revisit.evaluation.datasets.posed_clouds import in_number_order
@@ -69,7 +70,7 @@ class KittiRecording:
     def scan(self, index: int) -> Scan:
         """The scan with that index. Raises MalformedBody for a damaged file and as `Scan.validated` does."""
         cloud = read_velodyne(self._files[index])
-        return Scan.validated(cloud.points, self._poses[index], int(self._stamps_ns[index]), cloud.intensity)
+        return Scan.validated(cloud.points, self._poses[index], int(self._stamps_ns[index]), cloud.columns)
 
     def __iter__(self) -> Iterator[Scan]:
         return (self.scan(index) for index in range(len(self)))
@@ -87,14 +88,15 @@ class KittiRecording:
             raise BadField(f"{file} has {count} rows for {len(self._files)} scans", field=file)
 
 
-def read_velodyne(file: Path) -> DecodedCloud:
-    """The points of a .bin file of float32 x, y, z, reflectance. Raises MalformedBody for a torn file."""
+def read_velodyne(file: Path, _wanted: Collection[str] = USUAL) -> DecodedCloud:
+    """The points of a .bin file of float32 x, y, z, reflectance (the only column). Raises
+    MalformedBody for a torn file.
+    """
     raw = file.read_bytes()
     if len(raw) % _BYTES_PER_POINT:
         rows = next((f": rows of {count} numbers?" for count in (3, 5) if len(raw) % (4 * count) == 0), "")
         raise MalformedBody(f"{file.name} holds {len(raw)} bytes, which is no multiple of {_BYTES_PER_POINT}{rows}")
-    hits = np.frombuffer(raw, dtype="<f4").reshape(-1, 4)
-    return DecodedCloud(hits[:, :3].astype(np.float32), hits[:, 3].astype(np.float32))
+    return DecodedCloud.of_table(np.frombuffer(raw, dtype="<f4").reshape(-1, 4))
 
 
 def write_kitti(folder: Path | str, scans: Iterable[tuple[Points, se3.Matrix4, int]]) -> int:

@@ -6,12 +6,14 @@ x here: x ahead, y left, z up.
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from pathlib import Path
 
 import numpy as np
 
 from revisit.core.errors import MalformedBody
 from revisit.core.geometry import se3
+from revisit.core.point_columns import INTENSITY, RING, USUAL, only
 from revisit.evaluation.datasets.number_rows import read_rows
 from revisit.evaluation.datasets.posed_clouds import PosedClouds, StampedPoses, interpolated, named_scans
 from revisit.formats import DecodedCloud
@@ -35,8 +37,8 @@ def open_nclt(folder: Path) -> PosedClouds:
     return interpolated(date, scans, StampedPoses(stamps_ns, T_world_body), np.eye(4), read_hits)
 
 
-def read_hits(file: Path) -> DecodedCloud:
-    """The points of a velodyne_sync file, z up: 16 bit without sign, 5 mm a unit, from -100 m.
+def read_hits(file: Path, wanted: Collection[str] = USUAL) -> DecodedCloud:
+    """The points of a velodyne_sync file, z up: 16 bit without sign, 5 mm a unit, from -100 m; intensity and ring.
 
     Raises MalformedBody for a torn file.
     """
@@ -45,7 +47,8 @@ def read_hits(file: Path) -> DecodedCloud:
         raise MalformedBody(f"{file.name} holds {len(raw)} bytes, which is no multiple of {_HIT.itemsize}")
     hits = np.frombuffer(raw, dtype=_HIT)
     points = (hits["xyz"] * _UNIT_M + _OFFSET_M) * [1.0, -1.0, -1.0]
-    return DecodedCloud(np.asarray(points, dtype=np.float32), hits["intensity"].astype(np.float32))
+    columns = {INTENSITY.name: hits["intensity"].astype(np.float32), RING.name: hits["beam"]}
+    return DecodedCloud(np.asarray(points, dtype=np.float32), only(columns, wanted))
 
 
 def _ground_truth(folder: Path, date: str) -> Path:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,11 +11,12 @@ from numpy.typing import NDArray
 
 from revisit.core.geometry import se3
 from revisit.core.geometry.deskew import SweepMotion, deskewed, knots
+from revisit.core.point_columns import TIME
 from revisit.core.scan import Points
 from revisit.evaluation.datasets.bag_message import Bag, Encoding, Place
 from revisit.evaluation.datasets.pairing import Pairing
 from revisit.evaluation.datasets.posed_clouds import Stamps
-from revisit.evaluation.datasets.ros_messages import read_coordinates, read_intensity, read_points, read_sweep
+from revisit.evaluation.datasets.ros_messages import read_columns, read_coordinates, read_points, read_sweep
 from revisit.formats import DecodedCloud
 
 _DESKEWED = re.compile(r"deskew|undistort|compensat|registered|corrected", re.IGNORECASE)
@@ -37,13 +38,16 @@ class BagCloud:
     T_scan_cloud: se3.Matrix4 | None = None
     motion: Pairing | None = None
 
-    def read(self, bag: Bag) -> DecodedCloud:
-        """The points in the frame of the scan, with their intensity where the cloud tells it.
+    def read(self, bag: Bag, wanted: Collection[str], stamp_ns: int) -> DecodedCloud:
+        """The points in the frame of the scan, with the wanted columns that the cloud has; times since `stamp_ns`.
 
         Raises MalformedBody, BadField, TooLarge.
         """
         message = bag.data(self.place)
-        return DecodedCloud(self._points(message), read_intensity(message, self.message_type, self.encoding))
+        columns = dict(read_columns(message, self.message_type, wanted, self.encoding)) if wanted else {}
+        if TIME.name in columns:
+            columns[TIME.name] = columns[TIME.name] + (self.stamp_ns - stamp_ns)
+        return DecodedCloud(self._points(message), columns)
 
     def sweep(self, bag: Bag) -> NDArray[np.float64] | None:
         """The deskewed points (n, 3), in the sensor's frame at the stamp; None where points have no times."""

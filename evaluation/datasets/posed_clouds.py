@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import re
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from decimal import Decimal
 from itertools import pairwise
@@ -15,11 +15,14 @@ from numpy.typing import NDArray
 
 from revisit.core.errors import BadField
 from revisit.core.geometry import se3
+from revisit.core.point_columns import USUAL
 from revisit.core.scan import Scan
 from revisit.formats import DecodedCloud
+from revisit.formats.point_times import timed
 
 Stamps = NDArray[np.int64]
-CloudReader = Callable[[Path], DecodedCloud]
+CloudReader = Callable[[Path, Collection[str]], DecodedCloud]
+"""Reads a file, and those columns of its points that it has."""
 
 GAP_NS = 1_000_000_000
 GAP_PERIODS = 5
@@ -83,7 +86,8 @@ class PosedClouds:
 
     T_world_sensor (n, 4, 4), z up; stamps_ns (n,) int64; `read` gives the cloud of a file in the sensor frame;
     `origin` (3,) is where the world's origin lies in the published map frame, metres; `notes` are sentences about how
-    the poses were made; `unposed` is the number of files behind these whose poses nobody made.
+    the poses were made; `unposed` is the number of files behind these whose poses nobody made; `columns` are those of
+    the points that are read.
     """
 
     name: str
@@ -94,6 +98,7 @@ class PosedClouds:
     origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
     notes: Sequence[str] = ()
     unposed: int = 0
+    columns: tuple[str, ...] = USUAL
 
     def __post_init__(self) -> None:
         if not self.files:
@@ -110,8 +115,8 @@ class PosedClouds:
 
     def scan(self, index: int) -> Scan:
         """The scan with that index. Raises MalformedBody for a damaged file and as `Scan.validated` does."""
-        cloud = self.read(self.files[index])
-        return Scan.validated(cloud.points, self.pose(index), int(self.stamps_ns[index]), cloud.intensity)
+        cloud, stamp_ns = self.read(self.files[index], self.columns), int(self.stamps_ns[index])
+        return Scan.validated(cloud.points, self.pose(index), stamp_ns, timed(cloud.columns, stamp_ns))
 
     def __iter__(self) -> Iterator[Scan]:
         return (self.scan(index) for index in range(len(self)))

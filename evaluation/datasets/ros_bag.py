@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from revisit.core.geometry import se3
+from revisit.core.point_columns import USUAL, joined
 from revisit.core.sanity.finding import Finding
 from revisit.core.scan import Points, Scan
 from revisit.evaluation.datasets.bag_files import bag_files, open_files
@@ -38,7 +39,8 @@ class BagRecording:
 
     A scan's points are read from the bag when asked for: `clouds` are those that each scan consists of.
     `notes` are sentences about the choice of topics; `findings` rest on the order of the bag's messages. `fixes` of
-    satellites are by topic. `unposed` is the number of clouds behind these whose poses nobody made.
+    satellites are by topic. `unposed` is the number of clouds behind these whose poses nobody made. `columns` are those
+    of the points that are read: of several LiDARs, those that all have.
     """
 
     name: str
@@ -50,6 +52,7 @@ class BagRecording:
     findings: tuple[Finding, ...] = ()
     fixes: Mapping[str, Sequence[SatelliteFix]] = field(default_factory=dict)
     unposed: int = 0
+    columns: tuple[str, ...] = USUAL
 
     def __len__(self) -> int:
         return len(self.clouds)
@@ -60,11 +63,10 @@ class BagRecording:
 
     def scan(self, index: int) -> Scan:
         """The scan with that index. Raises MalformedBody for a damaged message and as `Scan.validated` does."""
-        parts = [cloud.read(self.bag) for cloud in self.clouds[index]]
+        stamp_ns = int(self.stamps_ns[index])
+        parts = [cloud.read(self.bag, self.columns, stamp_ns) for cloud in self.clouds[index]]
         points = parts[0].points if len(parts) == 1 else np.concatenate([part.points for part in parts])
-        known = [part.intensity for part in parts if part.intensity is not None]
-        intensity = np.concatenate(known) if len(known) == len(parts) else None
-        return Scan.validated(points, self.pose(index), int(self.stamps_ns[index]), intensity)
+        return Scan.validated(points, self.pose(index), stamp_ns, joined([part.columns for part in parts]))
 
     def __iter__(self) -> Iterator[Scan]:
         return (self.scan(index) for index in range(len(self)))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+from collections.abc import Collection
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,17 +11,18 @@ from numpy.typing import NDArray
 
 from revisit.core.errors import BadField, MalformedBody
 from revisit.core.geometry import se3
-from revisit.core.scan import Intensity, Points
+from revisit.core.point_columns import Columns
+from revisit.core.scan import Points
 from revisit.evaluation.datasets.bag_message import Encoding
-from revisit.formats.cloud import INTENSITY_NAMES, CloudLimits
-from revisit.formats.point_times import TIME_FIELDS, point_offsets
+from revisit.formats.cloud import TIME_FIELDS, CloudLimits, field_names
+from revisit.formats.point_times import point_offsets, timed
 from revisit.formats.pointcloud2 import (
     FieldType,
     PackedCloud,
     PointField,
+    columns_of_points,
     decode_coordinates,
     decode_packed,
-    field_of_points,
 )
 from revisit.formats.satellite_fix import SatelliteFix
 
@@ -40,6 +42,7 @@ LIVOX_POINT = (
     PointField("offset_time", 0, FieldType.UINT32),
     *(PointField(name, 4 + 4 * index, FieldType.FLOAT32) for index, name in enumerate(COORDINATES)),
     PointField("reflectivity", 16, FieldType.UINT8),
+    PointField("line", 18, FieldType.UINT8),
 )
 LIVOX_POINT_BYTES = 19
 MAX_TRANSFORMS = 10_000
@@ -158,10 +161,10 @@ def read_points(message: bytes, message_type: str, encoding: Encoding = "cdr") -
     return decode_packed(_packed(message, message_type, encoding), CloudLimits()).points
 
 
-def read_intensity(message: bytes, message_type: str, encoding: Encoding = "cdr") -> Intensity | None:
-    """The intensity (n,) of those points in the unit of the sensor; None where no field tells it."""
-    _, values = field_of_points(_packed(message, message_type, encoding, INTENSITY_NAMES), INTENSITY_NAMES)
-    return None if values is None else values.astype(np.float32)
+def read_columns(message: bytes, message_type: str, wanted: Collection[str], encoding: Encoding = "cdr") -> Columns:
+    """The columns of those points that are wanted and there; a time is that since the stamp of the message, ns."""
+    packed = _packed(message, message_type, encoding, field_names(wanted))
+    return timed(columns_of_points(packed, wanted), read_header(message, encoding).stamp_ns)
 
 
 def read_coordinates(message: bytes, message_type: str, encoding: Encoding = "cdr") -> NDArray[np.float64]:

@@ -13,13 +13,13 @@ import typer
 from revisit.cli.extras import what_is_missing
 from revisit.cli.moments import AsOf, Ever, moment_ns
 from revisit.cli.options import HTTP, Http, Json, MapName
-from revisit.cli.output import emit_json, progress_bar, refuse, reporter, say, signs
+from revisit.cli.output import emit_json, progress_bar, refuse, reporter, say, signs, tell
 from revisit.cli.recordings import Mounting, Odometry, Poses, Topic, opened
 from revisit.cli.submap_names import session_name
 from revisit.core.errors import BadField
 
 if TYPE_CHECKING:
-    from revisit.cli.map_files import PlacedSubmap
+    from revisit.cli.map_files import MergedCloud, PlacedSubmap
     from revisit.cli.pose_graph_files import Graph
     from revisit.evaluation.datasets import Recording
     from revisit.sdk.earth import OnEarth
@@ -279,17 +279,25 @@ def _write_cloud(
     ever: bool = False,
 ) -> dict[str, int]:
     """One cloud; of a map on `earth` in the projected system `epsg`."""
-    from revisit.cli.map_files import merged_cloud
-
     write = _cloud_writer(kind, epsg)  # before a cloud is made, which takes long
-    cloud = merged_cloud(http, placed, report, ever=ever)
+    cloud = _cloud_of(http, placed, report, ever)
     points = cloud.points if earth is None else earth.projected(cloud.points, epsg)
-    write(out, points, intensity=cloud.intensity)
+    write(out, points, columns=cloud.columns)
     return {"points": len(cloud.points)}
 
 
+def _cloud_of(http: str, placed: list[PlacedSubmap], report: Report, ever: bool) -> MergedCloud:
+    """The cloud of a map; columns that are left out are told on stderr."""
+    from revisit.cli.map_files import merged_cloud
+
+    cloud = merged_cloud(http, placed, report, ever=ever)
+    for name in cloud.left_out:
+        tell(f"revisit: {name} is left out: some submaps have none; --session writes one drive")
+    return cloud
+
+
 def _cloud_writer(kind: str, epsg: int) -> Callable[..., object]:
-    """Writes points, and their intensity, to a path. Raises ModuleNotFoundError, and BadField for another system."""
+    """Writes points, and their columns, to a path. Raises ModuleNotFoundError, and BadField for another system."""
     from revisit.formats.whole_files import write_whole
 
     if kind == "copc":
@@ -301,7 +309,7 @@ def _cloud_writer(kind: str, epsg: int) -> Callable[..., object]:
 
     as_laz = partial(laz.encode, epsg=epsg or None)
     encoders: dict[str, Callable[..., bytes]] = {"ply": ply.encode, "pcd": pcd.encode, "laz": as_laz}
-    return lambda out, points, intensity: write_whole(out, encoders[kind](points, intensity=intensity))
+    return lambda out, points, columns: write_whole(out, encoders[kind](points, columns=columns))
 
 
 def _write_mesh(
@@ -329,12 +337,12 @@ def _write_grid(out: Path, http: str, placed: list[PlacedSubmap], report: Report
 
 
 def _write_mcap(out: Path, http: str, placed: list[PlacedSubmap], report: Report, ever: bool = False) -> dict[str, int]:
-    from revisit.cli.map_files import by_session, merged_cloud
+    from revisit.cli.map_files import by_session
     from revisit.formats.mcap_map import encode
     from revisit.formats.whole_files import write_whole
 
-    sessions, cloud = by_session(placed), merged_cloud(http, placed, report, ever=ever)
-    write_whole(out, encode(sessions, cloud.points, intensity=cloud.intensity))
+    sessions, cloud = by_session(placed), _cloud_of(http, placed, report, ever)
+    write_whole(out, encode(sessions, cloud.points, columns=cloud.columns))
     return {"sessions": len(sessions), "points": len(cloud.points)}
 
 
@@ -365,16 +373,15 @@ def _write_autoware(
     out: Path, http: str, placed: list[PlacedSubmap], report: Report, earth: OnEarth | None, ever: bool = False
 ) -> dict[str, int]:
     """A folder of squares as PCD, their places, and the projector of a map on earth, or of one that is not."""
-    from revisit.cli.map_files import merged_cloud
     from revisit.formats import autoware, pcd
     from revisit.formats.whole_files import write_whole
 
-    cloud = merged_cloud(http, placed, report, ever=ever)
+    cloud = _cloud_of(http, placed, report, ever)
     (out / autoware.CLOUDS).mkdir(parents=True, exist_ok=True)
     corners = []
     for corner, rows in autoware.squares_of(cloud.points):
         part = cloud.at(rows)
-        write_whole(out / autoware.CLOUDS / autoware.file_of(corner), pcd.encode(part.points, part.intensity))
+        write_whole(out / autoware.CLOUDS / autoware.file_of(corner), pcd.encode(part.points, part.columns))
         corners.append(corner)
     write_whole(out / autoware.METADATA, autoware.metadata_of(corners))
     projector = autoware.LOCAL_PROJECTOR if earth is None else autoware.projector_of(earth.origin)

@@ -19,7 +19,7 @@ from revisit.cli.options import GRPC, HTTP, Grpc, Http, Json, MapName
 from revisit.cli.output import emit_json, emit_table, progress_bar, refuse, signs, tell
 from revisit.cli.recordings import Deskew, Format, Mounting, Odometry, Poses, Topic, opened
 from revisit.cli.waiting import teller_of_no_worker
-from revisit.core.errors import RevisitError
+from revisit.core.errors import BadField, RevisitError
 from revisit.sdk.errors import ApiError, NotFound
 
 if TYPE_CHECKING:
@@ -134,7 +134,7 @@ class Extent:
     finish: bool | None = None
     wait: bool = True
     send: Send = "described"
-    intensity: bool = False
+    columns: tuple[str, ...] = ()
 
     def count(self, recording: Recording) -> int:
         """How many scans of a recording this is about."""
@@ -193,10 +193,11 @@ def ingest(
     all_scans: Annotated[
         bool, typer.Option("--all-scans", help="Send every scan, not those alone that descriptions are made of.")
     ] = False,
-    intensity: Annotated[
-        bool,
-        typer.Option("--intensity", help="Send the intensity of the points, too: 1.5 to 2 times the bytes."),
-    ] = False,
+    columns: Annotated[
+        str,
+        typer.Option(help="Columns of the points to send, too, with commas: intensity, ring, time, rgb."),
+    ] = "",
+    intensity: Annotated[bool, typer.Option("--intensity", help="As --columns intensity.")] = False,
     json: Json = False,
 ) -> None:
     """Stream a recording; run it again to resume."""
@@ -207,17 +208,29 @@ def ingest(
     require_id("--map", map_id)
     if session_id:
         require_id("--session", session_id)
-    recording = opened(folder, file_format, topic, odometry, mounting, poses, deskew, limit)
+    wanted = _columns(columns, intensity)
+    recording = opened(folder, file_format, topic, odometry, mounting, poses, deskew, limit, wanted)
     warn(recording)
     session = session_id or id_of(recording.name, "--session")
     target = Target(grpc, map_id, session, scene_scale, profile, storey, drift)
     fixes = Fixes(not no_gnss, gnss, _point(antenna))
     try:
-        extent = Extent(limit, spool, finish, wait, "all" if all_scans else "described", intensity)
+        extent = Extent(limit, spool, finish, wait, "all" if all_scans else "described", wanted)
         _transfer(recording, target, extent, json, fixes)
     except KeyboardInterrupt as error:
         typer.echo("revisit: interrupted; the same command goes on where this one ended", err=True)
         raise typer.Exit(130) from error
+
+
+def _columns(text: str, intensity: bool) -> tuple[str, ...]:
+    """The names of the columns to send, in order. Exits where there is no such column."""
+    from revisit.core.point_columns import COLUMNS, INTENSITY, column
+
+    names = {name.strip() for name in text.split(",") if name.strip()} | ({INTENSITY.name} if intensity else set())
+    try:
+        return tuple(sorted((column(name).name for name in names), key=list(COLUMNS).index))
+    except BadField as error:
+        raise refuse(f"--columns: {error.message}") from error
 
 
 def _point(text: str) -> tuple[float, float, float]:
@@ -356,9 +369,10 @@ def _send(client: Client, session: Session, recording: Recording, extent: Extent
 
     spooled_ns = None if extent.spool is None else _emptied(client, session, extent.spool)
     session = client.get_session(session.name)
-    first = first_unsent(client, session, recording, spooled_ns, intensity=extent.intensity)
+    first = first_unsent(client, session, recording, spooled_ns, extent.columns)
     count = extent.count(recording)
     sent: list[int] = []
+    lacking = dict.fromkeys(extent.columns, 0)
     refused: list[RefusedScan] = []
     with progress_bar(quiet) as bar, _stream_of(client, session, extent) as stream:
         refused_before = len(stream.refusals)
@@ -371,13 +385,23 @@ def _send(client: Client, session: Session, recording: Recording, extent: Extent
                 refused.append(RefusedScan(index, scan.code.value, scan.message))
                 continue
             skipped = stream.skipped
-            stream.send(sent_points(scan, extent.intensity), scan.T_odom_sensor, scan.stamp_ns)
-            sent += [index] * (stream.skipped == skipped)
+            stream.send(sent_points(scan, extent.columns), scan.T_odom_sensor, scan.stamp_ns)
+            if stream.skipped == skipped:
+                sent.append(index)
+                lacking |= {name: count + 1 for name, count in lacking.items() if name not in scan.columns}
         stream.flush()
         skipped = stream.skipped
         refusals = stream.refusals[refused_before:]
+    _tell_lacking(recording, lacking, len(sent))
     refused += [_refused_scan(refusal, order, sent, session) for order, refusal in enumerate(refusals)]
     return Sent(len(sent), tuple(sorted(refused, key=lambda scan: scan.index)), skipped)
+
+
+def _tell_lacking(recording: Recording, lacking: dict[str, int], sent: int) -> None:
+    """Say on stderr which columns were asked for that scans do not have, or not in a form that can be used."""
+    for name, count in lacking.items():
+        if count:
+            typer.echo(f"{recording.name}: {name}: {count} of {sent} scans have none that can be used", err=True)
 
 
 def _refused_scan(refusal: Refusal, order: int, sent: list[int], session: Session) -> RefusedScan:

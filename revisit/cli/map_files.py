@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Container, Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Container, Iterable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from revisit.cli.pose_graph_files import Graph, pose_graph, read_graph
 from revisit.cli.standing import SurfaceOf, Surfaces
 from revisit.core.geometry.se3 import Matrix4
-from revisit.formats import npy
+from revisit.core.point_columns import COLUMNS, Columns, PointColumn, at_rows, joined
+from revisit.formats import pcd
 from revisit.formats.cloud import DEFAULT_LIMITS
 from revisit.sdk.client import Client
 
@@ -96,17 +97,19 @@ def _optimised_here(graph: Graph) -> dict[str, dict[str, Matrix4]]:
 
 @dataclass(frozen=True)
 class MergedCloud:
-    """Points (n, 3) in the map, metres, and their intensity (n,) in the unit of the sensors: 0 in submaps without it.
+    """Points (n, 3) in the map, metres, and their columns; times are seconds since 1970 in the clocks of the robots.
 
-    None where no submap has it.
+    Where some submaps lack a column, it has the value that stands for an unknown one there (`PointColumn.missing`);
+    without such a value it is `left_out`.
     """
 
     points: Points
-    intensity: NDArray[np.float32] | None
+    columns: Columns = field(default_factory=dict)
+    left_out: tuple[str, ...] = ()
 
     def at(self, rows: NDArray[np.int64]) -> MergedCloud:
         """Some of its points."""
-        return MergedCloud(self.points[rows], None if self.intensity is None else self.intensity[rows])
+        return replace(self, points=self.points[rows], columns=at_rows(self.columns, rows))
 
 
 def merged_cloud(
@@ -120,19 +123,19 @@ def merged_cloud(
     needed = {row: number for number, row in enumerate(_needed(placed, several))}
     surfaces = _surfaces(http, [placed[row] for row in needed], report) if needed else None
     stands = surfaces.standing(report) if surfaces and several else [None] * len(needed)
-    parts = [MergedCloud(np.zeros((0, 3)), None)]
+    parts = list[MergedCloud]()
     with Client(http) as client:
         for row, one in enumerate(placed):
             number = needed.get(row)
             if surfaces and number is not None and not one.has_scans:
-                cloud = MergedCloud(surfaces.points(number, stands[number]), None)
+                cloud = MergedCloud(surfaces.points(number, stands[number]))
             else:
-                read = npy.decode(client.download(one.name, "npy"), DEFAULT_LIMITS)
-                cloud = MergedCloud(read.points.astype(np.float64), read.intensity)
+                read = pcd.decode(client.download(one.name, "pcd"), DEFAULT_LIMITS, COLUMNS)
+                cloud = MergedCloud(read.points.astype(np.float64), read.columns)
                 if surfaces and number is not None:
                     cloud = cloud.at(np.flatnonzero(~surfaces.gone(number, stands[number], cloud.points)))
             points = cloud.points @ one.T_map_submap[:3, :3].T + one.T_map_submap[:3, 3]
-            parts.append(MergedCloud(points, cloud.intensity).at(thinned(points)))
+            parts.append(MergedCloud(points, cloud.columns).at(thinned(points)))
             report("clouds", row + 1, len(placed))
     whole = _joined(parts)
     return whole.at(thinned(whole.points))
@@ -156,11 +159,17 @@ def _surfaces(http: str, placed: Sequence[PlacedSubmap], report: Callable[[str, 
 
 
 def _joined(parts: Sequence[MergedCloud]) -> MergedCloud:
-    points = np.concatenate([part.points for part in parts])
-    if all(part.intensity is None for part in parts):
-        return MergedCloud(points, None)
-    told = [np.zeros(len(part.points), np.float32) if part.intensity is None else part.intensity for part in parts]
-    return MergedCloud(points, np.concatenate(told))
+    points = np.concatenate([np.zeros((0, 3)), *(part.points for part in parts)])
+    told = {name for part in parts for name in part.columns}
+    filled = {name: COLUMNS[name] for name in told if COLUMNS[name].missing is not None}
+    whole = joined([_filled(part, filled.values()) for part in parts])
+    return MergedCloud(points, whole, tuple(name for name in COLUMNS if name in told and name not in whole))
+
+
+def _filled(part: MergedCloud, columns: Iterable[PointColumn]) -> Columns:
+    """Its columns, and those that it lacks with the values that stand for unknown ones."""
+    count = len(part.points)
+    return {**{one.name: np.full(count, one.missing, one.kind) for one in columns}, **part.columns}
 
 
 def thinned(points: Points) -> NDArray[np.int64]:

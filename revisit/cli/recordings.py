@@ -68,13 +68,23 @@ def opened(
     poses: Path | None = None,
     deskew: bool = True,
     limit: int | None = None,
+    columns: tuple[str, ...] | None = None,
 ) -> Recording:
     """The recording; which topics of a bag were taken, and why, goes to stderr. Exits for an unusable option.
 
-    Poses that are made of the clouds are made of the first `limit`.
+    Poses that are made of the clouds are made of the first `limit`. Scans have those of the `columns` that are there;
+    None for the usual ones.
     """
     signs.doing(f"reading {folder}")
-    from revisit.evaluation.datasets import AUTO, FORMATS, KISS_ICP, WantedTopics, notes_of, open_recording
+    from revisit.evaluation.datasets import (
+        AUTO,
+        FORMATS,
+        KISS_ICP,
+        WantedTopics,
+        notes_of,
+        open_recording,
+        with_columns,
+    )
 
     if file_format not in (AUTO, *FORMATS):
         raise refuse(f"--format is one of {', '.join((AUTO, *FORMATS))}")
@@ -84,7 +94,7 @@ def opened(
         recording = open_recording(folder, file_format, wanted, poses, reporter(bar), limit)
     for note in notes_of(recording):
         typer.echo(f"{recording.name}: {note}", err=True)
-    return recording
+    return recording if columns is None else with_columns(recording, columns)
 
 
 def _transform(text: str | None) -> Matrix4 | None:

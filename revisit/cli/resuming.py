@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from revisit.core.config import SubmapConfig
 from revisit.core.errors import RevisitError
 from revisit.core.geometry import se3
+from revisit.core.point_columns import only
 from revisit.core.scan_marks import ScanMarks, marked_rows, way_along
 from revisit.evaluation.datasets import name_of_scan
 from revisit.formats import NPY, decode_cloud
+from revisit.sdk.clouds import PointCloud, PointsLike
 from revisit.sdk.errors import AlreadyExists, ApiError, ErrorDetails, FailedPrecondition
 
 if TYPE_CHECKING:
@@ -45,35 +47,34 @@ def readable_or_error(recording: Recording, index: int) -> Scan | RevisitError:
         return error
 
 
-def sent_points(scan: Scan, intensity: bool) -> NDArray[np.float32]:
-    """The points as they are sent: (n, 3), or (n, 4) with intensity where that is wanted and known."""
-    if not intensity or scan.intensity is None:
-        return scan.points
-    return np.column_stack([scan.points, scan.intensity])
+def sent_points(scan: Scan, columns: Collection[str]) -> PointsLike:
+    """The points as they are sent: with those of the columns that they have."""
+    told = only(scan.columns, columns)
+    return PointCloud(scan.points, told) if told else scan.points
 
 
 def first_unsent(
-    client: Client, session: Session, recording: Recording, spooled_ns: int | None = None, *, intensity: bool = False
+    client: Client, session: Session, recording: Recording, spooled_ns: int | None = None, columns: Collection[str] = ()
 ) -> int:
     """The index of the first scan behind the last one that an unfinished session, or its spool, was given.
 
     `spooled_ns` is the time of the last scan that was put into the spool: the service may have refused that one. Raises
     AlreadyExists where the session ends with a scan of another recording.
     """
-    unsent = 0 if session.committed_stamp_ns is None else _last_held(client, session, recording, intensity) + 1
+    unsent = 0 if session.committed_stamp_ns is None else _last_held(client, session, recording, columns) + 1
     if spooled_ns is None or spooled_ns <= (session.committed_stamp_ns or 0):
         return unsent
     refused = np.flatnonzero(recording.stamps_ns[unsent:] == spooled_ns)
     return unsent + int(refused[0]) + 1 if len(refused) else unsent
 
 
-def _last_held(client: Client, session: Session, recording: Recording, intensity: bool) -> int:
+def _last_held(client: Client, session: Session, recording: Recording, columns: Collection[str]) -> int:
     """The last stored scan. Of scans with the same time the service says which one it has. Raises AlreadyExists."""
     for index in _at_last_stamp(session, recording):
         scan = readable_or_error(recording, index)
         if isinstance(scan, RevisitError):
             continue
-        points = sent_points(scan, intensity)
+        points = sent_points(scan, columns)
         if client.holds_scan(session, session.committed_seq, points, scan.T_odom_sensor, scan.stamp_ns):
             return index
     message = (

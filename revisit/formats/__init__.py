@@ -24,9 +24,10 @@ Empty, non-finite, degenerate and far-away clouds are refused afterwards, by `co
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 
 from revisit.core.errors import MalformedBody, TooLarge, UnsupportedEncoding
+from revisit.core.point_columns import USUAL
 from revisit.formats import kitti, npy, pcd, ply, pointcloud2, quantised
 from revisit.formats.cloud import DEFAULT_LIMITS, CloudLimits, DecodedCloud, decode_content
 from revisit.formats.pointcloud2 import Encoding, FieldType, PackedCloud, PointField, decode_packed, pack
@@ -77,12 +78,14 @@ encode_pointcloud2 = pointcloud2.encode
 encode_quantised = quantised.encode
 count_quantised = quantised.count
 
-_DECODERS: dict[str, Callable[[bytes, CloudLimits], DecodedCloud]] = {
-    KITTI: kitti.decode,
+_OF_FIELDS: dict[str, Callable[[bytes, CloudLimits, Collection[str]], DecodedCloud]] = {
     PCD: pcd.decode,
     PLY: ply.decode,
-    NPY: npy.decode,
     POINTCLOUD2: pointcloud2.decode,
+}
+_OF_ROWS: dict[str, Callable[[bytes, CloudLimits], DecodedCloud]] = {
+    KITTI: kitti.decode,
+    NPY: npy.decode,
     QUANTISED: quantised.decode,
 }
 _ALIASES = {
@@ -119,8 +122,11 @@ def decode_cloud(
     *,
     content_encoding: str | None = None,
     limits: CloudLimits = DEFAULT_LIMITS,
+    wanted: Collection[str] = USUAL,
 ) -> DecodedCloud:
     """The cloud in a body of media type `content_type`, after undoing `content_encoding`.
+
+    Of the fields of a file the columns (`core.point_columns`) that are `wanted` are read; of a quantised cloud, all.
 
     Raises UnsupportedEncoding, MalformedBody, BadField and TooLarge as the module says, nothing else.
     """
@@ -131,14 +137,16 @@ def decode_cloud(
     if len(body) > limits.max_decoded_bytes:
         raise TooLarge(f"a cloud may have {limits.max_decoded_bytes} bytes, got {len(body)}")
     _refuse_foreign_magic(body, media_type)
-    return _DECODERS[media_type](body, limits)
+    if media_type in _OF_FIELDS:
+        return _OF_FIELDS[media_type](body, limits, wanted)
+    return _OF_ROWS[media_type](body, limits)
 
 
 def resolve_media_type(content_type: str) -> str:
     """The canonical media type of a Content-Type header. Raises UnsupportedEncoding."""
     name = content_type.partition(";")[0].strip().lower()
     media_type = _ALIASES.get(name, name)
-    if media_type not in _DECODERS:
+    if media_type not in MEDIA_TYPES:
         raise UnsupportedEncoding(f"the Content-Type must be one of {', '.join(MEDIA_TYPES)}", field="Content-Type")
     return media_type
 

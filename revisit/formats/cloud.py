@@ -6,8 +6,9 @@ The cap on the output of zstd and gzip holds while it comes out.
 from __future__ import annotations
 
 import zlib
+from collections.abc import Callable, Collection
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -15,9 +16,9 @@ import zstandard
 from numpy.typing import NDArray
 
 from revisit.core.errors import BadField, MalformedBody, TooLarge, UnsupportedEncoding
+from revisit.core.point_columns import INTENSITY, RGB, RING, TIME, USUAL, Columns, column
 
 Points = NDArray[np.float32]
-Intensity = NDArray[np.float32]
 Buffer = bytes | memoryview
 
 
@@ -44,23 +45,34 @@ _PIECE_BYTES = 512
 
 @dataclass(frozen=True)
 class DecodedCloud:
-    """A parsed, not yet validated cloud: points (n, 3) float32 metres, sensor frame; intensity (n,) float32 or None.
+    """A parsed, not yet validated cloud: points (n, 3) float32 metres, sensor frame, and `columns` of theirs.
 
-    Points may be NaN or infinite; `core.scan.validate_cloud` decides about them.
+    Points may be NaN or infinite; `core.scan.validate_cloud` decides about them. A column has the values of the file:
+    a time in its unit, unless the cloud is quantised.
     """
 
     points: Points
-    intensity: Intensity | None = None
+    columns: Columns = field(default_factory=dict)
 
     @classmethod
-    def from_columns(
-        cls, x: NDArray[Any], y: NDArray[Any], z: NDArray[Any], intensity: NDArray[Any] | None
+    def of_table(cls, table: NDArray[np.float32]) -> DecodedCloud:
+        """The cloud of rows (n, 3) of coordinates, or (n, 4) with intensity."""
+        columns = {INTENSITY.name: table[:, 3].copy()} if table.shape[1] == 4 else {}
+        return cls(np.ascontiguousarray(table[:, :3]), columns)
+
+    @classmethod
+    def from_fields(
+        cls, fields: dict[str, Column], wanted: Collection[str], read: Callable[[Column], NDArray[Any]]
     ) -> DecodedCloud:
-        """A cloud of four (n,) numeric columns of any type and byte order; float64 beyond float32 becomes infinite."""
+        """The cloud in such fields, with the columns that are `wanted` and there; `read` gives the values (n,) of one.
+
+        float64 beyond float32 becomes infinite. Raises BadField as `coordinates_of`.
+        """
+        x, y, z = (read(one) for one in coordinates_of(fields))
         points = np.empty((len(x), 3), dtype=np.float32)
         with np.errstate(over="ignore", invalid="ignore"):
             points[:, 0], points[:, 1], points[:, 2] = x, y, z
-            return cls(points, None if intensity is None else intensity.astype(np.float32))
+        return cls(points, columns_from_fields(fields, wanted, read))
 
 
 @dataclass(frozen=True)
@@ -72,52 +84,101 @@ class Column:
     offset: int
 
 
-INTENSITY_NAMES = ("intensity", "scalar_intensity", "i", "reflectivity", "reflectance")
+TIME_FIELDS = ("t", "time", "timestamp", "offset_time", "time_stamp", "time_offset")
+"""Ouster `t`, Velodyne `time`, Hesai and RoboSense `timestamp`, Livox `offset_time` and `timestamp`."""
+
+_NAMES = {
+    INTENSITY.name: ("intensity", "scalar_intensity", "i", "reflectivity", "reflectance"),
+    RING.name: ("ring", "channel", "line", "laser_id"),
+    TIME.name: TIME_FIELDS,
+    RGB.name: ("rgb", "rgba"),
+}
+"""The fields, in small letters, that hold a column; colours in one field are four bytes, 0xAARRGGBB (PCL)."""
+
+_APART = (("red", "green", "blue"), ("r", "g", "b"))
 
 
-def required_columns(columns: dict[str, Column]) -> tuple[list[Column], Column | None]:
-    """The x, y and z columns, and the intensity column where there is one.
+def field_names(wanted: Collection[str]) -> tuple[str, ...]:
+    """The names, in small letters, of all fields that such columns are read of."""
+    apart = [name for names in _APART for name in names] if RGB.name in wanted else []
+    return (*(name for one in wanted for name in _NAMES[column(one).name]), *apart)
 
-    Raises BadField where a coordinate is missing, is not float32 or float64, or the three types differ.
-    """
-    missing = [name for name in "xyz" if name not in columns]
+
+def coordinates_of(fields: dict[str, Column]) -> list[Column]:
+    """The x, y and z fields. Raises BadField where one is missing, is no float32 or float64, or the types differ."""
+    missing = [name for name in "xyz" if name not in fields]
     if missing:
         raise BadField(f"the cloud has no field {' and no field '.join(missing)}", field="points")
-    coordinates = [columns[name] for name in "xyz"]
-    kinds = {column.dtype.lstrip("<>|=") for column in coordinates}
+    coordinates = [fields[name] for name in "xyz"]
+    kinds = {one.dtype.lstrip("<>|=") for one in coordinates}
     if len(kinds) != 1 or not kinds <= {"f4", "f8"}:
         raise BadField("x, y and z must be all float32 or all float64", field="points")
-    intensity = next((columns[name] for name in columns if name.lower() in INTENSITY_NAMES), None)
-    return coordinates, intensity
+    return coordinates
 
 
-def cloud_from_records(body: memoryview, count: int, stride: int, columns: dict[str, Column]) -> DecodedCloud:
+def sources_of(fields: dict[str, Column], wanted: Collection[str]) -> dict[str, list[Column]]:
+    """The fields that the wanted columns are read of, by the name of the column; of those columns that are there."""
+    found = {
+        name: [one for one in fields.values() if one.name.lower() in _NAMES[column(name).name]][:1] for name in wanted
+    }
+    if RGB.name in found:
+        packed = [one for one in found[RGB.name] if one.dtype.endswith("4")]
+        found[RGB.name] = packed or _colours_apart({one.name.lower(): one for one in fields.values()})
+    return {name: those for name, those in found.items() if those}
+
+
+def needed_fields(fields: dict[str, Column], wanted: Collection[str]) -> list[Column]:
+    """The fields of the coordinates and of the columns that are wanted and there. Raises BadField."""
+    return [*coordinates_of(fields), *(one for those in sources_of(fields, wanted).values() for one in those)]
+
+
+def _colours_apart(fields: dict[str, Column]) -> list[Column]:
+    return next(([fields[name] for name in names] for names in _APART if fields.keys() >= set(names)), [])
+
+
+def columns_from_fields(
+    fields: dict[str, Column], wanted: Collection[str], read: Callable[[Column], NDArray[Any]]
+) -> Columns:
+    """The columns that are wanted and there; `read` gives the values (n,) of a field."""
+    return {
+        name: _value(name, those, [read(one) for one in those]) for name, those in sources_of(fields, wanted).items()
+    }
+
+
+def _value(name: str, fields: list[Column], values: list[NDArray[Any]]) -> NDArray[Any]:
+    """A column (n,), or (n, 3) of colours, of the values of its fields: a time is float64 or int64, as it is given."""
+    kind = fields[0].dtype[1:]
+    with np.errstate(over="ignore", invalid="ignore"):
+        if name == INTENSITY.name:
+            return values[0].astype(np.float32)
+        if name == TIME.name:
+            return values[0].astype(np.float64 if kind.startswith("f") else np.int64)
+        if name == RGB.name and len(values) == 1:
+            bits = values[0].astype(f"<{kind}").view("<u4")
+            return np.stack([bits >> 16, bits >> 8, bits], axis=1).astype(np.uint8)
+    return values[0] if len(values) == 1 else np.column_stack(values)
+
+
+def cloud_from_records(
+    body: memoryview, count: int, stride: int, fields: dict[str, Column], wanted: Collection[str] = USUAL
+) -> DecodedCloud:
     """The cloud in `count` packed records of `stride` bytes; `body` must hold exactly those (checked by the caller)."""
-    coordinates, intensity = required_columns(columns)
-    records = _records(body, count, stride, [*coordinates, *([intensity] if intensity else [])])
-    x, y, z = (records[column.name] for column in coordinates)
-    return DecodedCloud.from_columns(x, y, z, records[intensity.name] if intensity else None)
+    return DecodedCloud.from_fields(fields, wanted, lambda one: field_of_records(body, count, stride, one))
+
+
+def field_of_records(body: memoryview | bytes, count: int, stride: int, field: Column) -> NDArray[Any]:
+    """One field (n,) of such records."""
+    record = np.dtype({"names": ["it"], "formats": [field.dtype], "offsets": [field.offset], "itemsize": stride})
+    rows: NDArray[np.void] = np.frombuffer(body, record, count)
+    return rows["it"]
 
 
 def coordinates_from_records(
-    body: memoryview, count: int, stride: int, columns: dict[str, Column]
+    body: memoryview, count: int, stride: int, fields: dict[str, Column]
 ) -> NDArray[np.float64]:
     """The coordinates (n, 3) alone, of full precision: far from the origin of a map float32 is too coarse."""
-    coordinates, _ = required_columns(columns)
-    records = _records(body, count, stride, coordinates)
-    return np.column_stack([records[column.name].astype(np.float64) for column in coordinates])
-
-
-def _records(body: memoryview, count: int, stride: int, wanted: list[Column]) -> NDArray[Any]:
-    record = np.dtype(
-        {
-            "names": [column.name for column in wanted],
-            "formats": [column.dtype for column in wanted],
-            "offsets": [column.offset for column in wanted],
-            "itemsize": stride,
-        }
-    )
-    return np.frombuffer(body, dtype=record, count=count)
+    told = (field_of_records(body, count, stride, one) for one in coordinates_of(fields))
+    return np.column_stack([values.astype(np.float64) for values in told])
 
 
 def require_exact_size(declared: int, present: int, count: int, limits: CloudLimits) -> None:
@@ -136,31 +197,52 @@ def require_point_count(count: int, limits: CloudLimits) -> None:
         raise TooLarge(f"a cloud may have {limits.max_points} points, got {count}", field="points")
 
 
-def checked_for_writing(points: NDArray[np.floating], intensity: NDArray[np.floating] | None) -> DecodedCloud:
-    """`points` (n, 3) and `intensity` (n,) as little-endian float32. Raises BadField for other shapes."""
+def checked_for_writing(points: NDArray[np.floating], columns: Columns) -> DecodedCloud:
+    """`points` (n, 3) as little-endian float32, and its columns as they are. Raises BadField for other shapes."""
     if points.ndim != 2 or points.shape[1] != 3:
         raise BadField(f"points must be (n, 3), got {points.shape}", field="points")
-    if intensity is not None and intensity.shape != (len(points),):
-        raise BadField(f"intensity must be ({len(points)},), got {intensity.shape}", field="intensity")
-    values = None if intensity is None else np.ascontiguousarray(intensity, dtype="<f4")
-    return DecodedCloud(np.ascontiguousarray(points, dtype="<f4"), values)
+    for name, values in columns.items():
+        channels = column(name).channels
+        if values.shape != ((len(points),) if channels == 1 else (len(points), channels)):
+            raise BadField(f"{name} must be ({len(points)},), got {values.shape}", field=name)
+    return DecodedCloud(np.ascontiguousarray(points, dtype="<f4"), columns)
 
 
-def records_for_writing(points: NDArray[np.floating], intensity: NDArray[np.floating] | None) -> NDArray[np.void]:
-    """`points` (n, 3) and `intensity` (n,) as records (n,) of x, y, z and, where given, intensity, for a file.
+def records_for_writing(
+    points: NDArray[np.floating], columns: Columns, *, packed_colours: bool = False
+) -> NDArray[np.void]:
+    """`points` (n, 3) and their columns as records (n,) of x, y, z and a field for each column, for a file.
 
     float32, but for coordinates that are given more exactly and lie from `FAR_M` on, as those of a map in UTM do:
-    float64. Raises BadField for other shapes.
+    float64. A column keeps its type; colours are red, green and blue, or one field as PCL has it: `packed_colours`.
+    Raises BadField for other shapes.
     """
-    cloud = checked_for_writing(points, intensity)
+    cloud = checked_for_writing(points, columns)
     far = points.dtype == np.float64 and bool((np.abs(cloud.points) >= FAR_M).any())
-    kind = "<f8" if far else "<f4"
-    columns = [(axis, kind) for axis in "xyz"] + ([] if cloud.intensity is None else [("intensity", "<f4")])
-    records = np.empty(len(points), dtype=columns)
-    records["x"], records["y"], records["z"] = (points if far else cloud.points).T
-    if cloud.intensity is not None:
-        records["intensity"] = cloud.intensity
+    values = dict(zip("xyz", (points if far else cloud.points).T, strict=True))
+    kinds = dict.fromkeys("xyz", "<f8" if far else "<f4")
+    for name, told in _fields_of(columns, packed_colours).items():
+        values[name], kinds[name] = told, told.dtype.newbyteorder("<").str
+    records = np.empty(len(points), dtype=list(kinds.items()))
+    for name, told in values.items():
+        records[name] = told
     return records
+
+
+def _fields_of(columns: Columns, packed_colours: bool) -> Columns:
+    """The columns as fields of one value each."""
+    fields = dict[str, NDArray[Any]]()
+    for name, values in columns.items():
+        if name == INTENSITY.name:
+            fields[name] = values.astype("<f4")
+        elif name != RGB.name:
+            fields[name] = values
+        elif packed_colours:
+            red, green, blue = values.astype("<u4").T
+            fields[name] = (red << 16 | green << 8 | blue).astype("<u4").view("<f4")
+        else:
+            fields |= dict(zip(_APART[0], values.astype(np.uint8).T, strict=True))
+    return fields
 
 
 def kinds_of(records: NDArray[np.void]) -> dict[str, str]:

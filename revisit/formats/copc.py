@@ -14,8 +14,10 @@ import copclib
 import numpy as np
 from numpy.typing import NDArray
 
+from revisit.core.errors import BadField
 from revisit.core.geometry.voxel_keys import first_rows, grouped, voxel_keys
-from revisit.formats.las import SCALE_M, Millimetres, levels
+from revisit.core.point_columns import NONE, RGB, RING, TIME, Columns
+from revisit.formats.las import EXTRA_BYTES, SCALE_M, Millimetres, extra_dimension, fill
 from revisit.formats.whole_files import written_beside
 
 CELLS = 128
@@ -24,34 +26,54 @@ CELLS = 128
 FEW_POINTS = 4096
 """So many points are not divided further."""
 
-_FORMAT = 6
-_ROW = np.dtype(
-    [("xyz", "<i4", 3), ("intensity", "<u2"), ("returns", "u1"), ("rest", "u1", 5), ("source", "<u2"), ("time", "<f8")]
-)
+_PLAIN_FORMAT, _COLOURED_FORMAT = 6, 7
+_ROW = [
+    ("xyz", "<i4", (3,)), ("intensity", "<u2", ()), ("returns", "u1", ()), ("rest", "u1", (5,)), ("source", "<u2", ()),
+    ("time", "<f8", ()),
+]  # fmt: skip
+_FURTHER = [("rgb", "<u2", (3,)), ("ring", "u1", ())]
+MAX_RING = 255
+"""The writer has room for one byte in a dimension of its own."""
+
 _FIRST_OF_ONE = 0x11
+_HEAD_BYTES, _RECORD_HEAD_BYTES = 65_536, 54
 
 Node = tuple[int, int, int, int]
 """Depth, then the place of the cube along x, y and z among those of its depth."""
 
 
-def write(
-    path: Path, points: NDArray[np.floating], wkt: str = "", intensity: NDArray[np.floating] | None = None
-) -> None:
-    """Write points (n, 3) in metres; `wkt` describes their reference system, and `intensity` is (n,).
+def write(path: Path, points: NDArray[np.floating], wkt: str = "", columns: Columns = NONE) -> None:
+    """Write points (n, 3) in metres with their columns, as `laz.encode` has them; `wkt` describes their reference
+    system.
 
-    It has its name once it is whole. Raises BadField as `Millimetres.of`, and OSError where it cannot be written.
+    It has its name once it is whole. Raises BadField as `Millimetres.of` and for a ring above `MAX_RING`, and OSError
+    where it cannot be written.
     """
-    stored = Millimetres.of(points)
+    stored, ringed = Millimetres.of(points), RING.name in columns
+    if ringed and columns[RING.name].max() > MAX_RING:
+        raise BadField(f"a file of COPC holds rings up to {MAX_RING} here; LAZ holds more", field=RING.name)
     low, high = stored.bounds()
-    scale = copclib.Vector3(*[SCALE_M] * 3)
-    config = copclib.CopcConfigWriter(_FORMAT, scale, copclib.Vector3(*stored.offset), wkt)
+    scale, further = copclib.Vector3(*[SCALE_M] * 3), copclib.EbVlr(int(ringed))
+    point_format = _COLOURED_FORMAT if RGB.name in columns else _PLAIN_FORMAT
+    config = copclib.CopcConfigWriter(point_format, scale, copclib.Vector3(*stored.offset), wkt, further)
     config.las_header.min, config.las_header.max = copclib.Vector3(*low), copclib.Vector3(*high)
+    if TIME.name in columns:
+        config.las_header.SetGpsTimeBit()
     half_m = CELLS * _cell(stored.counts) * SCALE_M / 2
     info = config.copc_info
     info.center_x, info.center_y, info.center_z = (float(least) + half_m for least in low)
     info.halfsize, info.spacing = half_m, 2 * half_m / CELLS
     with written_beside(path) as part:
-        _write_nodes(part, config, stored, _rows(stored, intensity))
+        _write_nodes(part, config, stored, _rows(stored, columns))
+        if ringed:
+            _name_ring(part)
+
+
+def _name_ring(path: Path) -> None:
+    """Describe the dimension of its own, to which the writer gives no name."""
+    with path.open("r+b") as file:
+        file.seek(file.read(_HEAD_BYTES).index(EXTRA_BYTES[0].encode() + b"\0") - 2 + _RECORD_HEAD_BYTES)
+        file.write(extra_dimension("<u1"))
 
 
 def _write_nodes(path: Path, config: copclib.CopcConfigWriter, stored: Millimetres, rows: NDArray[np.void]) -> None:
@@ -93,10 +115,9 @@ def _cell(counts: NDArray[np.int32]) -> float:
     return max(1.0, (float(np.ptp(counts.astype(np.int64), axis=0).max()) + 1.0) / CELLS)
 
 
-def _rows(stored: Millimetres, intensity: NDArray[np.floating] | None) -> NDArray[np.void]:
-    """The points as point records of format 6."""
-    rows = np.zeros(len(stored.counts), dtype=_ROW)
+def _rows(stored: Millimetres, columns: Columns) -> NDArray[np.void]:
+    """The points as point records of format 6, of 7 with colours; the ring behind it."""
+    rows = np.zeros(len(stored.counts), dtype=[*_ROW, *(one for one in _FURTHER if one[0] in columns)])
     rows["xyz"], rows["returns"] = stored.counts, _FIRST_OF_ONE
-    if intensity is not None:
-        rows["intensity"] = levels(intensity)
+    fill(rows, columns)
     return rows

@@ -19,10 +19,13 @@ from numpy.typing import NDArray
 from revisit.core.errors import BadField
 from revisit.core.geometry import se3
 from revisit.core.geometry.se3 import Matrix4
+from revisit.core.point_columns import NONE, Columns
+from revisit.formats.cloud import kinds_of, records_for_writing
 
 MEDIA_TYPE = "application/x-mcap"
 
-_FLOAT32 = 7
+_TYPES = {"u1": 1, "i1": 2, "u2": 3, "i2": 4, "u4": 5, "i4": 6, "f4": 7, "f8": 8}
+"""Of the fields of a foxglove.PointCloud, by numpy code."""
 _LINE_STRIP = 0
 _COLOURS = (
     (0.27, 0.47, 0.67),
@@ -49,11 +52,9 @@ def encode(
     sessions: Mapping[str, DrivenPoses],
     points: NDArray[np.floating],
     frame: str = "map",
-    intensity: NDArray[np.floating] | None = None,
+    columns: Columns = NONE,
 ) -> bytes:
-    """An MCAP file of the poses of `sessions` by name, and of the cloud (n, 3) in metres, in `frame`.
-
-    `intensity` (n,) is that of the points, where it is known.
+    """An MCAP file of the poses of `sessions` by name, and of the cloud (n, 3) in metres with its columns, in `frame`.
 
     Needs the package `mcap`. Raises BadField for other shapes and for numbers that are not finite.
     """
@@ -67,7 +68,7 @@ def encode(
     begun_ns = min((int(one.stamps_ns[0]) for one in sessions.values() if len(one.stamps_ns)), default=0)
     for name, one in sessions.items():
         _write(writer, "foxglove.PosesInFrame", f"/map/poses/{name}", _first(one), _poses(one, frame))
-    _write(writer, "foxglove.PointCloud", "/map/cloud", begun_ns, _cloud(points, intensity, begun_ns, frame))
+    _write(writer, "foxglove.PointCloud", "/map/cloud", begun_ns, _cloud(points, columns, begun_ns, frame))
     _write(writer, "foxglove.SceneUpdate", "/map/sessions", begun_ns, _scene(sessions, begun_ns, frame))
     writer.finish()  # type: ignore[no-untyped-call]  # the package leaves its types out here
     return stream.getvalue()
@@ -90,17 +91,17 @@ def _poses(one: DrivenPoses, frame: str) -> dict[str, Any]:
     return {"timestamp": _time(_first(one)), "frame_id": frame, "poses": poses}
 
 
-def _cloud(
-    points: NDArray[np.floating], intensity: NDArray[np.floating] | None, stamp_ns: int, frame: str
-) -> dict[str, Any]:
+def _cloud(points: NDArray[np.floating], columns: Columns, stamp_ns: int, frame: str) -> dict[str, Any]:
     """The points from the first one's whole metres, which the pose leads to, so that float32 holds them in UTM, too."""
     origin = np.rint(np.asarray(points[:1], np.float64).sum(axis=0))
-    columns = points - origin if intensity is None else np.column_stack([points - origin, intensity])
-    names = ("x", "y", "z", "intensity")[: columns.shape[1]]
-    fields = [{"name": name, "offset": 4 * number, "type": _FLOAT32} for number, name in enumerate(names)]
-    data = base64.b64encode(np.ascontiguousarray(columns, dtype="<f4").tobytes()).decode()
+    records = records_for_writing((points - origin).astype(np.float32), columns)
+    places = {name: place for name, (_, place, *_) in (records.dtype.fields or {}).items()}
+    fields = [
+        {"name": name, "offset": places[name], "type": _TYPES[kind[1:]]} for name, kind in kinds_of(records).items()
+    ]
+    data = base64.b64encode(records.tobytes()).decode()
     pose = _pose(se3.from_yaw(0.0, origin))
-    head = {"timestamp": _time(stamp_ns), "frame_id": frame, "pose": pose, "point_stride": 4 * len(names)}
+    head = {"timestamp": _time(stamp_ns), "frame_id": frame, "pose": pose, "point_stride": records.itemsize}
     return {**head, "fields": fields, "data": data}
 
 

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from revisit.core.errors import BadField, MalformedBody, UnsupportedEncoding
+from revisit.core.point_columns import INTENSITY, NONE, Columns, only
 from revisit.formats.cloud import CloudLimits, DecodedCloud, records_for_writing, require_exact_size
 
 MAGIC = b"\x93NUMPY"
@@ -42,14 +43,16 @@ def decode(data: bytes, limits: CloudLimits) -> DecodedCloud:
     array = np.frombuffer(data, dtype=descr, offset=start).reshape(
         shape, order="F" if match["order"] == b"True" else "C"
     )
-    return DecodedCloud.from_columns(array[:, 0], array[:, 1], array[:, 2], array[:, 3] if shape[1] == 4 else None)
+    with np.errstate(over="ignore", invalid="ignore"):
+        values = np.ascontiguousarray(array, dtype=np.float32)
+    return DecodedCloud.of_table(values)
 
 
-def encode(points: NDArray[np.floating], intensity: NDArray[np.floating] | None = None) -> bytes:
-    """An npy version 1 file of float32 (n, 3), or (n, 4) with intensity; of float64 where float32 does not hold a
-    millimetre (`records_for_writing`).
+def encode(points: NDArray[np.floating], columns: Columns = NONE) -> bytes:
+    """An npy version 1 file of float32 (n, 3), or (n, 4) with intensity, the one column that it has room for; of
+    float64 where float32 does not hold a millimetre (`records_for_writing`).
     """
-    records = records_for_writing(points, intensity)
+    records = records_for_writing(points, only(columns, (INTENSITY.name,)))
     kind = str(records.dtype["x"].str)
     values = np.column_stack([records[name] for name in records.dtype.fields or ()]).astype(kind)
     header = f"{{'descr': '{kind}', 'fortran_order': False, 'shape': {values.shape}, }}".encode("ascii")

@@ -2,23 +2,26 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from revisit.core.errors import MalformedBody, TooLarge
+from revisit.core.point_columns import NONE, USUAL, Columns
 from revisit.formats import ascii_rows
 from revisit.formats.cloud import (
     CloudLimits,
     Column,
     DecodedCloud,
     cloud_from_records,
+    coordinates_of,
     kinds_of,
+    needed_fields,
     records_for_writing,
     require_exact_size,
     require_point_count,
-    required_columns,
 )
 from revisit.formats.text_header import field_name, natural, read_header
 
@@ -54,34 +57,34 @@ class _Header:
         return sum(field.size * field.count for field in self.fields)
 
 
-def decode(data: bytes, limits: CloudLimits) -> DecodedCloud:
-    """The x, y, z and intensity fields of a PCD file.
+def decode(data: bytes, limits: CloudLimits, wanted: Collection[str] = USUAL) -> DecodedCloud:
+    """The x, y, z fields of a PCD file, and the columns that are `wanted` and there.
 
     The file must match its header exactly. Raises MalformedBody, BadField, TooLarge.
     """
     header, start = _read_header(data)
     if header.encoding == "ascii":
-        return _decode_ascii(header, data[start:], limits)
+        return _decode_ascii(header, data[start:], limits, wanted)
     body = memoryview(data)[start:]
     if header.encoding == "binary":
         require_exact_size(header.points * header.stride, len(body), header.points, limits)
-        return cloud_from_records(body, header.points, header.stride, _interleaved(header))
-    return _decode_compressed(header, body, limits)
+        return cloud_from_records(body, header.points, header.stride, _interleaved(header), wanted)
+    return _decode_compressed(header, body, limits, wanted)
 
 
-def encode(points: NDArray[np.floating], intensity: NDArray[np.floating] | None = None) -> bytes:
-    """A binary PCD file of points (n, 3) in metres and, where given, intensity (n,).
+def encode(points: NDArray[np.floating], columns: Columns = NONE) -> bytes:
+    """A binary PCD file of points (n, 3) in metres and their columns; colours are one field, as PCL has them.
 
     Floats, but for doubles where floats do not hold a millimetre (`records_for_writing`).
     """
-    records = records_for_writing(points, intensity)
+    records = records_for_writing(points, columns, packed_colours=True)
     kinds = kinds_of(records)
     header = [
         "# .PCD v0.7 - Point Cloud Data file format",
         "VERSION 0.7",
         f"FIELDS {' '.join(kinds)}",
         f"SIZE {' '.join(kind[2:] for kind in kinds.values())}",
-        f"TYPE {' '.join(['F'] * len(kinds))}",
+        f"TYPE {' '.join(kind[1].upper() for kind in kinds.values())}",
         f"COUNT {' '.join(['1'] * len(kinds))}",
         f"WIDTH {len(records)}",
         "HEIGHT 1",
@@ -152,7 +155,7 @@ def _interleaved(header: _Header) -> dict[str, Column]:
     return columns
 
 
-def _decode_ascii(header: _Header, body: bytes, limits: CloudLimits) -> DecodedCloud:
+def _decode_ascii(header: _Header, body: bytes, limits: CloudLimits, wanted: Collection[str]) -> DecodedCloud:
     per_row = sum(field.count for field in header.fields)
     if header.points * per_row * 2 > len(body) + 1:
         raise MalformedBody(f"{len(body)} bytes cannot hold {header.points} rows of {per_row} numbers")
@@ -161,13 +164,13 @@ def _decode_ascii(header: _Header, body: bytes, limits: CloudLimits) -> DecodedC
     for field in header.fields:
         positions[field.name] = position
         position += field.count
-    coordinates, intensity = required_columns(_interleaved(header))
-    wanted = [positions[column.name] for column in [*coordinates, *([intensity] if intensity else [])]]
-    values = ascii_rows.parse_rows(body, header.points, per_row, wanted)
-    return DecodedCloud.from_columns(values[:, 0], values[:, 1], values[:, 2], values[:, 3] if intensity else None)
+    columns = _interleaved(header)
+    needed = [column.name for column in needed_fields(columns, wanted)]
+    table = ascii_rows.parse_rows(body, header.points, per_row, [positions[name] for name in needed])
+    return DecodedCloud.from_fields(columns, wanted, lambda column: table[:, needed.index(column.name)])
 
 
-def _decode_compressed(header: _Header, body: memoryview, limits: CloudLimits) -> DecodedCloud:
+def _decode_compressed(header: _Header, body: memoryview, limits: CloudLimits, wanted: Collection[str]) -> DecodedCloud:
     """`binary_compressed`: two uint32 sizes, then LZF of the fields one after another."""
     from revisit.formats import lzf  # numba takes 0.7 s to import, and few files need it
 
@@ -179,16 +182,15 @@ def _decode_compressed(header: _Header, body: memoryview, limits: CloudLimits) -
     require_point_count(header.points, limits)
     if unpacked > limits.max_decoded_bytes:
         raise TooLarge(f"a body may decode to {limits.max_decoded_bytes} bytes, this one declares {unpacked}")
-    coordinates, intensity = required_columns(_interleaved(header))
+    columns = _interleaved(header)
+    coordinates_of(columns)
     content = lzf.decompress(body[8:], unpacked)
     starts, start = {}, 0
     for field in header.fields:
         starts[field.name] = start
         start += field.size * field.count * header.points
-    x, y, z = (_column(content, starts, column, header.points) for column in coordinates)
-    reflected = _column(content, starts, intensity, header.points) if intensity else None
-    return DecodedCloud.from_columns(x, y, z, reflected)
 
+    def read(column: Column) -> NDArray[np.generic]:
+        return np.frombuffer(content, dtype=column.dtype, count=header.points, offset=starts[column.name])
 
-def _column(content: memoryview, starts: dict[str, int], column: Column, count: int) -> NDArray[np.generic]:
-    return np.frombuffer(content, dtype=column.dtype, count=count, offset=starts[column.name])
+    return DecodedCloud.from_fields(columns, wanted, read)

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from revisit.core.errors import BadField, MalformedBody
+from revisit.core.point_columns import NONE, USUAL, Columns
 from revisit.formats import ascii_rows
 from revisit.formats.cloud import (
     CloudLimits,
@@ -17,10 +18,10 @@ from revisit.formats.cloud import (
     checked_for_writing,
     cloud_from_records,
     kinds_of,
+    needed_fields,
     records_for_writing,
     require_exact_size,
     require_point_count,
-    required_columns,
 )
 from revisit.formats.text_header import field_name, natural, read_header
 
@@ -45,6 +46,7 @@ _CODES = {
     "double": "f8",
     "float64": "f8",
 }
+_TYPES = {code: name for name, code in reversed(_CODES.items()) if not name[-1].isdigit()}
 _ORDERS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
 
 
@@ -70,8 +72,8 @@ class _Element:
         return sum(int(item.code[1]) for item in self.properties)
 
 
-def decode(data: bytes, limits: CloudLimits) -> DecodedCloud:
-    """The x, y, z and intensity properties of the vertices of a PLY file.
+def decode(data: bytes, limits: CloudLimits, wanted: Collection[str] = USUAL) -> DecodedCloud:
+    """The x, y, z properties of the vertices of a PLY file, and the columns that are `wanted` and there.
 
     The file must match its header exactly, faces and other elements included.
     Raises MalformedBody, BadField where a coordinate is missing, a list or no float, TooLarge.
@@ -83,16 +85,16 @@ def decode(data: bytes, limits: CloudLimits) -> DecodedCloud:
     if vertices.has_list:
         raise BadField("a vertex may not have list properties", field="points")
     if encoding == "ascii":
-        return _decode_ascii(elements, vertices, data[start:], limits)
-    return _decode_binary(elements, vertices, memoryview(data)[start:], _ORDERS[encoding], limits)
+        return _decode_ascii(elements, vertices, data[start:], limits, wanted)
+    return _decode_binary(elements, vertices, memoryview(data)[start:], _ORDERS[encoding], limits, wanted)
 
 
-def encode(points: NDArray[np.floating], intensity: NDArray[np.floating] | None = None) -> bytes:
-    """A binary little-endian PLY file of points (n, 3) in metres and, where given, intensity (n,).
+def encode(points: NDArray[np.floating], columns: Columns = NONE) -> bytes:
+    """A binary little-endian PLY file of points (n, 3) in metres and their columns; colours are red, green and blue.
 
     Floats, but for doubles where floats do not hold a millimetre (`records_for_writing`).
     """
-    records = records_for_writing(points, intensity)
+    records = records_for_writing(points, columns)
     return _header(records, None) + records.tobytes()
 
 
@@ -101,7 +103,7 @@ def encode_mesh(vertices: NDArray[np.floating], normals: NDArray[np.floating], f
 
     Raises BadField for other shapes or for an index outside of the vertices.
     """
-    positions, directions = records_for_writing(vertices, None), checked_for_writing(normals, None).points
+    positions, directions = records_for_writing(vertices, {}), checked_for_writing(normals, {}).points
     if len(positions) != len(directions) or faces.ndim != 2 or faces.shape[1] != 3:
         raise BadField("a mesh needs as many normals as vertices, and faces (f, 3)", field="faces")
     if faces.size and not 0 <= int(faces.min()) <= int(faces.max()) < len(positions):
@@ -119,7 +121,7 @@ def encode_mesh(vertices: NDArray[np.floating], normals: NDArray[np.floating], f
 def _header(vertices: NDArray[np.void], face_count: int | None) -> bytes:
     """The declared vertices, which are records, and faces of a file."""
     lines = ["ply", "format binary_little_endian 1.0", f"element vertex {len(vertices)}"]
-    lines += [f"property {'double' if kind == '<f8' else 'float'} {name}" for name, kind in kinds_of(vertices).items()]
+    lines += [f"property {_TYPES[kind[1:]]} {name}" for name, kind in kinds_of(vertices).items()]
     if face_count is not None:
         lines += [f"element face {face_count}", "property list uchar int vertex_indices"]
     return "\n".join([*lines, "end_header", ""]).encode("ascii")
@@ -177,7 +179,12 @@ def _columns(element: _Element, order: str) -> dict[str, Column]:
 
 
 def _decode_binary(
-    elements: list[_Element], vertices: _Element, body: memoryview, order: str, limits: CloudLimits
+    elements: list[_Element],
+    vertices: _Element,
+    body: memoryview,
+    order: str,
+    limits: CloudLimits,
+    wanted: Collection[str],
 ) -> DecodedCloud:
     start = 0
     vertex_start = 0
@@ -188,7 +195,7 @@ def _decode_binary(
     require_exact_size(start, len(body), vertices.count, limits)
     columns = _columns(vertices, order)
     content = body[vertex_start : vertex_start + vertices.count * vertices.stride]
-    return cloud_from_records(content, vertices.count, vertices.stride, columns)
+    return cloud_from_records(content, vertices.count, vertices.stride, columns, wanted)
 
 
 def _element_end(element: _Element, body: memoryview, start: int, order: str) -> int:
@@ -205,24 +212,26 @@ def _element_end(element: _Element, body: memoryview, start: int, order: str) ->
     return ply_lists.rows_end(body, start, element.count, layout, big_endian=order == ">")
 
 
-def _decode_ascii(elements: list[_Element], vertices: _Element, body: bytes, limits: CloudLimits) -> DecodedCloud:
+def _decode_ascii(
+    elements: list[_Element], vertices: _Element, body: bytes, limits: CloudLimits, wanted: Collection[str]
+) -> DecodedCloud:
     declared = sum(element.count for element in elements)
     if declared != ascii_rows.count_rows(body):
         raise MalformedBody(f"the header declares {declared} rows, the body holds {ascii_rows.count_rows(body)}")
     require_point_count(vertices.count, limits)
-    names = list(_columns(vertices, "<"))
-    coordinates, intensity = required_columns(_columns(vertices, "<"))
-    wanted = [names.index(column.name) for column in [*coordinates, *([intensity] if intensity else [])]]
-    tables, row = [np.empty((0, len(wanted)))], 0
+    columns = _columns(vertices, "<")
+    names, needed = list(columns), [column.name for column in needed_fields(columns, wanted)]
+    places = [names.index(name) for name in needed]
+    tables, row = [np.empty((0, len(places)))], 0
     for lines in ascii_rows.number_lines(body):
         for element, part in _by_element(elements, lines, row):
             if element is vertices:
-                tables.append(part.table(len(names))[:, wanted])
+                tables.append(part.table(len(names))[:, places])
             else:
                 part.check_lists([item.count_code is not None for item in element.properties])
         row += len(lines)
-    values = np.concatenate(tables)
-    return DecodedCloud.from_columns(values[:, 0], values[:, 1], values[:, 2], values[:, 3] if intensity else None)
+    table = np.concatenate(tables)
+    return DecodedCloud.from_fields(columns, wanted, lambda column: table[:, needed.index(column.name)])
 
 
 def _by_element(

@@ -21,6 +21,7 @@ from __future__ import annotations
 
 import re
 import struct
+from collections.abc import Collection
 from dataclasses import dataclass
 from enum import IntEnum
 
@@ -28,14 +29,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from revisit.core.errors import MalformedBody, UnsupportedEncoding
+from revisit.core.point_columns import NONE, USUAL, Columns
 from revisit.formats import quantised
 from revisit.formats.cloud import (
     CloudLimits,
     Column,
     DecodedCloud,
-    checked_for_writing,
     cloud_from_records,
+    columns_from_fields,
     coordinates_from_records,
+    field_of_records,
+    kinds_of,
+    records_for_writing,
     require_exact_size,
 )
 
@@ -126,8 +131,8 @@ class PackedCloud:
         return cls(fields, point_step, width, body[start:], height, bool(big_endian), encoding)
 
 
-def decode_packed(packed: PackedCloud, limits: CloudLimits) -> DecodedCloud:
-    """The x, y, z and intensity fields of a packed cloud.
+def decode_packed(packed: PackedCloud, limits: CloudLimits, wanted: Collection[str] = USUAL) -> DecodedCloud:
+    """The x, y, z fields of a packed cloud, and the columns that are `wanted` and there; all of a quantised one.
 
     Raises MalformedBody, BadField where a coordinate is missing or no float, UnsupportedEncoding, TooLarge.
     """
@@ -139,7 +144,7 @@ def decode_packed(packed: PackedCloud, limits: CloudLimits) -> DecodedCloud:
         return cloud
     if packed.encoding != Encoding.RAW:
         raise UnsupportedEncoding(f"encoding {packed.encoding} of a packed cloud is not known", field="encoding")
-    return cloud_from_records(*_checked(packed, limits))
+    return cloud_from_records(*_checked(packed, limits), wanted)
 
 
 def decode_coordinates(packed: PackedCloud, limits: CloudLimits) -> NDArray[np.float64]:
@@ -149,28 +154,21 @@ def decode_coordinates(packed: PackedCloud, limits: CloudLimits) -> NDArray[np.f
     return coordinates_from_records(*_checked(packed, limits))
 
 
-def field_of_points(
-    packed: PackedCloud, names: tuple[str, ...]
-) -> tuple[PointField | None, NDArray[np.float64] | None]:
-    """The first field with one of the names, in small letters, and its value of each point (n,) as it is given.
+def columns_of_points(packed: PackedCloud, wanted: Collection[str]) -> Columns:
+    """The columns that are wanted and there, as the fields of a raw packed cloud have them.
 
-    None for both where there is none, and for the values where the field does not lie within the points, or these are
-    not all there.
+    Fields that have several values, or do not lie within the points, are no columns; none is where points are not all
+    there.
     """
-    field = next((item for item in packed.fields if item.name.lower() in names and item.count == 1), None)
-    if field is None or packed.encoding != Encoding.RAW:
-        return field, None
     count = packed.width * packed.height
-    try:
-        outside = field.offset < 0 or field.end > packed.point_step or count * packed.point_step != len(packed.data)
-    except MalformedBody:
-        return field, None
-    if outside:
-        return field, None
-    code = (">" if packed.big_endian else "<") + field.code
-    record = np.dtype({"names": ["it"], "formats": [code], "offsets": [field.offset], "itemsize": packed.point_step})
-    rows: NDArray[np.void] = np.frombuffer(packed.data, record, count)
-    return field, rows["it"].astype(np.float64)
+    if packed.encoding != Encoding.RAW or count * packed.point_step != len(packed.data):
+        return {}
+    fields, order = dict[str, Column](), ">" if packed.big_endian else "<"
+    for one in packed.fields:
+        known = 1 <= one.datatype <= len(_CODES) and one.count == 1
+        if known and one.offset >= 0 and one.end <= packed.point_step:
+            fields.setdefault(one.name, Column(one.name, order + one.code, one.offset))
+    return columns_from_fields(fields, wanted, lambda one: field_of_records(packed.data, count, packed.point_step, one))
 
 
 def _checked(packed: PackedCloud, limits: CloudLimits) -> tuple[memoryview, int, int, dict[str, Column]]:
@@ -180,29 +178,27 @@ def _checked(packed: PackedCloud, limits: CloudLimits) -> tuple[memoryview, int,
     return memoryview(packed.data), count, packed.point_step, columns
 
 
-def pack(
-    points: NDArray[np.floating], intensity: NDArray[np.floating] | None = None, encoding: Encoding = Encoding.RAW
-) -> PackedCloud:
-    """A packed cloud of points (n, 3) in metres and, where given, intensity (n,), as float32 or quantised."""
-    cloud = checked_for_writing(points, intensity)
-    names = ["x", "y", "z"] + ([] if cloud.intensity is None else ["intensity"])
-    fields = tuple(PointField(name, 4 * index, FieldType.FLOAT32) for index, name in enumerate(names))
-    if encoding == Encoding.QUANTISED:
-        data = quantised.encode(cloud.points, cloud.intensity)
-    else:
-        values = cloud.points if cloud.intensity is None else np.column_stack([cloud.points, cloud.intensity])
-        data = values.astype("<f4").tobytes()
-    return PackedCloud(fields, 4 * len(names), len(cloud.points), data, encoding=encoding)
+def pack(points: NDArray[np.floating], columns: Columns = NONE, encoding: Encoding = Encoding.RAW) -> PackedCloud:
+    """A packed cloud of points (n, 3) in metres and their columns, raw (coordinates are float32) or quantised."""
+    records = records_for_writing(np.asarray(points, dtype=np.float32), columns)
+    kinds = kinds_of(records)
+    fields, offset = [], 0
+    for name, kind in kinds.items():
+        fields.append(PointField(name, offset, _CODES.index(kind[1:]) + 1))
+        offset = fields[-1].end
+    raw = encoding != Encoding.QUANTISED
+    data = records.tobytes() if raw else quantised.encode(points, columns)
+    return PackedCloud(tuple(fields), offset, len(records), data, encoding=encoding)
 
 
-def decode(data: bytes, limits: CloudLimits) -> DecodedCloud:
+def decode(data: bytes, limits: CloudLimits, wanted: Collection[str] = USUAL) -> DecodedCloud:
     """The cloud in a body of this media type. Raises as `decode_packed` does."""
-    return decode_packed(PackedCloud.from_bytes(data), limits)
+    return decode_packed(PackedCloud.from_bytes(data), limits, wanted)
 
 
-def encode(points: NDArray[np.floating], intensity: NDArray[np.floating] | None = None) -> bytes:
-    """A raw float32 body of this media type."""
-    return pack(points, intensity).to_bytes()
+def encode(points: NDArray[np.floating], columns: Columns = NONE) -> bytes:
+    """A raw body of this media type."""
+    return pack(points, columns).to_bytes()
 
 
 def _read_field(body: bytes, start: int) -> PointField:

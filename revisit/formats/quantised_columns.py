@@ -44,13 +44,20 @@ def coordinates_on_rays(
 
 
 @njit(nogil=True, cache=True)
-def intensities(planes: Bytes, count: int, step: float) -> NDArray[np.float32]:
-    """Intensities (count,) of a column of zigzag-coded differences modulo 2^16, two byte planes of `count` each."""
-    found = np.empty(count, dtype=np.float32)
+def levels(planes: Bytes, count: int, width: int) -> NDArray[np.uint32]:
+    """Whole numbers (count,) of a column of zigzag-coded differences modulo 256^width: `width` byte planes of `count`.
+
+    A width is 1, 2 or 4.
+    """
+    found = np.empty(count, dtype=np.uint32)
+    mask = np.int64(2) ** np.int64(8 * width) - np.int64(1)
     total = np.int64(0)
     for row in range(np.uint64(count)):
-        total += _unfolded(np.uint32(planes[row]) | np.uint32(planes[np.uint64(count) + row]) << np.uint32(8))
-        found[row] = (total & 0xFFFF) * step
+        coded = np.uint32(0)
+        for plane in range(np.uint64(width)):
+            coded |= np.uint32(planes[plane * np.uint64(count) + row]) << np.uint32(np.uint64(8) * plane)
+        total = (total + _unfolded(coded)) & mask
+        found[row] = total
     return found
 
 
@@ -58,7 +65,7 @@ def warm_up() -> None:
     """Sum up a point, for the compiler's sake alone."""
     planes = np.frombuffer(bytes(14), dtype=np.uint8)
     coordinates_on_rays(planes, 1, 1.0, Prediction.DIFFERENCE, Prediction.DIFFERENCE)
-    intensities(planes[12:], 1, 1.0)
+    levels(planes[12:], 1, 2)
 
 
 @njit(inline="always")

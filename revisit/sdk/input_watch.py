@@ -15,7 +15,7 @@ from revisit.core.sanity.finding import Finding
 from revisit.core.sanity.ground import check_gravity
 from revisit.core.sanity.numbers import check_motion, check_points, check_times, check_units
 from revisit.core.scan import Scan, scene_size
-from revisit.sdk.clouds import Cloud, PointsLike
+from revisit.sdk.clouds import Cloud, PointCloud, PointsLike
 from revisit.sdk.resources import Finding as SessionFinding
 
 FIRST_LOOKS = (4, 16)
@@ -50,7 +50,8 @@ class InputWatch:
         with contextlib.suppress(RevisitError, ValueError, TypeError, IndexError):
             self._poses.append((np.asarray(T_odom_sensor, dtype=np.float64)[:3, :4], int(stamp_ns)))
             if not isinstance(points, Cloud) and (of_points or self._count <= KEPT_CLOUDS):
-                self._keep(np.asarray(points)[:, :3], T_odom_sensor, stamp_ns)
+                rows = points.points if isinstance(points, PointCloud) else points
+                self._keep(np.asarray(rows)[:, :3], T_odom_sensor, stamp_ns)
             if of_points or self._count % POSES_EVERY == 0:
                 self._tell([*self._of_poses(), *(self._of_points() if of_points else [])])
 

@@ -83,7 +83,10 @@ def malformed_others() -> Bodies:
     """npy, packed and quantised clouds."""
     four, quantised = records(4), formats.encode_quantised(records()[:, :3])
     wide = formats.PackedCloud((formats.PointField("x", 0, 7),), 16, 65536, floats(4), height=65537)
-    layouts = {name: replace(formats.pack(four[:, :3], four[:, 3]), **change) for name, change in LAYOUTS.items()}
+    layouts = {
+        name: replace(formats.pack(four[:, :3], {"intensity": four[:, 3]}), **change)
+        for name, change in LAYOUTS.items()
+    }
     steps = {"zero": 0.0, "negative": -1.0, "nan": float("nan"), "infinite": float("inf")}
     return {
         "10-pow-30.npy": lambda: npy_bytes(floats(120), shape=f"(1{'0' * 30}, 3)"),

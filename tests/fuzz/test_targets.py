@@ -47,7 +47,7 @@ def seeds() -> dict[str, list[bytes]]:
         "neural map behind its checksum": [neural_map[len(codec.CONTAINER.magic) : -DIGEST_BYTES]],
         "place": [stored],
         "place behind its checksum": [stored[len(place_form.MAGIC) : -DIGEST_BYTES]],
-        "stored cloud": [pack_cloud(StoredCloud(values[:, :3], values[:, 3])), *by_type[QUANTISED]],
+        "stored cloud": [pack_cloud(StoredCloud(values[:, :3], {"intensity": values[:, 3]})), *by_type[QUANTISED]],
         "stored mesh": [pack_mesh(triangle)],
     }
 

@@ -49,7 +49,7 @@ def drive(scans: int, step_m: float = 0.15, stands_at: int = 0, stands: int = 0)
 
 def command(session: SessionKey, seq: int, stamp: int, taken, travelled_m: float | None = None) -> AppendScan:
     points, pose = taken
-    return AppendScan(session, seq, 100 * stamp, pose, DecodedCloud(points, None), travelled_m=travelled_m)
+    return AppendScan(session, seq, 100 * stamp, pose, DecodedCloud(points), travelled_m=travelled_m)
 
 
 async def stream_both(world, scans) -> int:

@@ -416,7 +416,7 @@ async def test_a_robot_that_restarted_is_told_to_take_a_new_session(world):
         replace(first, stamp_ns=first.stamp_ns + 10**12),
         replace(first, T_odom_sensor=pose(1.001)),
         replace(first, cloud=cloud(7)),
-        replace(first, cloud=replace(first.cloud, intensity=np.ones(300, np.float32))),
+        replace(first, cloud=replace(first.cloud, columns={"intensity": np.ones(300, np.float32)})),
     )
     for other in others:
         with pytest.raises(AlreadyExists, match="create a new session; else go on with scan 3"):

@@ -45,8 +45,9 @@ async def life(recogniser):
 recogniser = load_recogniser()
 ready = loaded()
 points = np.random.default_rng(0).uniform(-9.0, 9.0, (500, 3))
-for intensity in (None, np.ones(500)):
-    unpack_cloud(quantised.encode(points, intensity))
+columns = {"intensity": np.ones(500), "ring": np.ones(500, int), "rgb": np.ones((500, 3), int)}
+for sent in ({}, columns):
+    unpack_cloud(quantised.encode(points, sent))
 verdict = asyncio.run(life(recogniser))
 print(json.dumps({"verdict": verdict, "ready": len(ready), "later": sorted(loaded() - ready)}))
 """

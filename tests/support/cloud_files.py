@@ -110,5 +110,5 @@ def valid_files(values: np.ndarray) -> dict[str, tuple[str, bytes]]:
         "npy little": (formats.NPY, npy_bytes(little, shape=f"({n}, 4)")),
         "npy big double": (formats.NPY, npy_bytes(values.astype(">f8").tobytes(), ">f8", f"({n}, 4)")),
         "pointcloud2": (formats.POINTCLOUD2, packed),
-        "quantised": (formats.QUANTISED, formats.encode_quantised(values[:, :3], values[:, 3])),
+        "quantised": (formats.QUANTISED, formats.encode_quantised(values[:, :3], {"intensity": values[:, 3]})),
     }

@@ -14,11 +14,12 @@ import numpy as np
 
 from revisit.core.errors import RevisitError
 from revisit.core.geometry import se3
+from revisit.sdk.clouds import PointCloud
 from revisit.sdk.errors import ApiError
 from revisit.sdk.resources import Relocalisation
 from revisit_bridge.anchor_request import sighting_of
 from revisit_bridge.answers import Answers, News, Newsroom
-from revisit_bridge.messages import Points, fix_of, points_of, pose_of
+from revisit_bridge.messages import cloud_of, fix_of, pose_of
 from revisit_bridge.outbox import Outbox
 from revisit_bridge.pairing import Mountings, OdometryPoses, PosedCloud, TransformPoses, WaitingClouds
 from revisit_bridge.parameters import Parameters, require_storey
@@ -212,27 +213,28 @@ class Bridge:
 
     def _send(self, posed: PosedCloud) -> None:
         try:
-            points = self._points(posed)
+            cloud = self._cloud(posed)
             if self._relocaliser is not None:
-                self._relocaliser.offer(points[:, :3], posed.T_odom_sensor)
-            self._outbox.send(points, posed.T_odom_sensor, posed.stamp_ns)
+                self._relocaliser.offer(cloud.points, posed.T_odom_sensor)
+            self._outbox.send(cloud if cloud.columns else cloud.points, posed.T_odom_sensor, posed.stamp_ns)
         except RevisitError as error:
             self._complain(error.message)
             return
         self._refused.clear()
 
-    def _points(self, posed: PosedCloud) -> Points:
-        """The points (n, 3) in the sensor's frame, or (n, 4) with their intensity, where that is to be sent.
+    def _cloud(self, posed: PosedCloud) -> PointCloud:
+        """The points (n, 3) in the sensor's frame, with the columns that are to be sent.
 
         Clouds that are registered in the odometry's frame are taken back. Raises RevisitError.
         """
+        columns = self._parameters.sent_columns
         if posed.sensor_frame != self.odom_frame:
-            return points_of(posed.cloud, posed.motion, intensity=self._parameters.intensity)
-        points = points_of(posed.cloud, intensity=self._parameters.intensity)
+            return cloud_of(posed.cloud, posed.motion, columns)
+        cloud = cloud_of(posed.cloud, None, columns)
         if self._odometry is None:
             raise RevisitError(f"the clouds are registered in {self.odom_frame}: give those of the sensor")
-        here = se3.apply(se3.inverse(posed.T_odom_sensor), points[:, :3].astype(np.float64))
-        return np.column_stack([here, points[:, 3:]]).astype(np.float32)
+        here = se3.apply(se3.inverse(posed.T_odom_sensor), cloud.points.astype(np.float64))
+        return replace(cloud, points=here.astype(np.float32))
 
     def _remember(self, scan: LastScan) -> None:
         self._journey.last = scan

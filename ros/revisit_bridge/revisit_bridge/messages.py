@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from revisit.core.errors import BadField
 from revisit.core.geometry import se3
 from revisit.core.geometry.deskew import SweepMotion, deskewed, knots
-from revisit.core.scan import validate_intensity
+from revisit.core.point_columns import at_rows, usable
 from revisit.formats.cloud import CloudLimits
-from revisit.formats.point_times import point_offsets
+from revisit.formats.point_times import point_offsets, timed
 from revisit.formats.pointcloud2 import PackedCloud, PointField, decode_packed
 from revisit.formats.satellite_fix import SatelliteFix
+from revisit.sdk.clouds import PointCloud
 
 Points = NDArray[np.float32]
 
@@ -40,32 +41,25 @@ def frame(name: str) -> str:
     return name.removeprefix("/")
 
 
-def points_of(cloud: Any, motion: SweepMotion | None = None, *, intensity: bool = False) -> Points:
+def points_of(cloud: Any, motion: SweepMotion | None = None) -> Points:
+    """The points of `cloud_of`, without columns."""
+    return cloud_of(cloud, motion).points
+
+
+def cloud_of(cloud: Any, motion: SweepMotion | None = None, columns: Collection[str] = ()) -> PointCloud:
     """The finite points (n, 3) of a sensor_msgs/PointCloud2 that lie off the sensor's origin, metres.
 
-    They are deskewed where the `motion` of the sensor is given. With `intensity` they are (n, 4), where the cloud has
-    one that can be used. Raises core.errors.RevisitError for fields or sizes that cannot be.
+    They are deskewed where the `motion` of the sensor is given. They have those of the `columns` that the cloud has and
+    that can be used. Raises core.errors.RevisitError for fields or sizes that cannot be.
     """
-    packed = _packed(cloud)
-    decoded = decode_packed(packed, CloudLimits())
+    packed, at_ns = _packed(cloud), stamp_ns(cloud.header)
+    decoded = decode_packed(packed, CloudLimits(), wanted=columns)
     points = decoded.points
     kept = np.isfinite(points).all(axis=1) & (points != 0.0).any(axis=1)
-    offsets = None if motion is None else point_offsets(packed, stamp_ns(cloud.header))
+    offsets = None if motion is None else point_offsets(packed, at_ns)
     moved = points[kept] if motion is None or offsets is None else deskewed(points[kept], offsets[kept], motion)
-    told = _usable(decoded.intensity, points, kept) if intensity else None
-    return np.asarray(moved if told is None else np.column_stack([moved, told]), dtype=np.float32)
-
-
-def _usable(
-    intensity: NDArray[np.floating] | None, points: NDArray[np.floating], kept: NDArray[np.bool_]
-) -> NDArray[np.float32] | None:
-    """The intensity of the points that are kept; None where there is none, or none that the service takes."""
-    if intensity is None or not intensity.any():
-        return None
-    try:
-        return validate_intensity(intensity[kept], points[kept])
-    except BadField:
-        return None
+    told = usable(at_rows(timed(decoded.columns, at_ns), kept), points[kept])
+    return PointCloud(np.asarray(moved, dtype=np.float32), told)
 
 
 def knots_of(cloud: Any) -> NDArray[np.int64] | None:

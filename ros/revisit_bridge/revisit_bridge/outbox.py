@@ -15,11 +15,11 @@ from revisit.core.errors import RevisitError
 from revisit.core.geometry import se3
 from revisit.sdk.anchors import NewAnchor
 from revisit.sdk.client import Client
+from revisit.sdk.clouds import PointsLike
 from revisit.sdk.errors import ApiError
 from revisit.sdk.scan_choice import Send
 from revisit.sdk.spool import Spool, SpoolState
 from revisit_bridge.kept_anchors import AnchorPosting, KeptAnchors
-from revisit_bridge.messages import Points
 
 log = logging.getLogger("revisit_bridge")
 
@@ -45,7 +45,7 @@ class Stream(Protocol):
     def error(self) -> Exception | None:
         """Why nothing is sent any more."""
 
-    def send(self, points: Points, T_odom_sensor: se3.Matrix4, stamp_ns: int) -> None:
+    def send(self, points: PointsLike, T_odom_sensor: se3.Matrix4, stamp_ns: int) -> None:
         """Put a scan on the disk. Raises RevisitError."""
 
 
@@ -179,7 +179,7 @@ class Outbox:
                 self._ending.append(self._current)
             self._current = None
 
-    def send(self, points: Points, T_odom_sensor: se3.Matrix4, stamp_ns: int) -> None:
+    def send(self, points: PointsLike, T_odom_sensor: se3.Matrix4, stamp_ns: int) -> None:
         """Put a scan of the current session on the disk. Raises RevisitError, SpoolFull among them."""
         with self._lock:
             if self._current is None:

@@ -6,6 +6,8 @@ from collections.abc import Mapping
 from dataclasses import Field, dataclass, field, fields
 from typing import Any, Self
 
+from revisit.core.point_columns import COLUMNS, INTENSITY
+
 LONGEST_STOREY = 64
 
 
@@ -43,7 +45,10 @@ class Parameters:
     send: str = _parameter(
         "described", "scans that are sent: `described`, one each one or two metres, or `all`, standing still, too"
     )
-    intensity: bool = _parameter(False, "send the intensity of the points, too: 1.5 to 2 times the bytes")
+    columns: str = _parameter(
+        "", "columns of the points that are sent, too, with commas: intensity, ring, time, rgb; each costs bytes"
+    )
+    intensity: bool = _parameter(False, "as `columns: intensity`")
     max_jump_m: float = _parameter(5.0, "metres that the odometry may jump at any speed; beyond, a new session begins")
     max_speed_m_s: float = _parameter(40.0, "fastest speed of the robot; what is faster is a jump")
     max_gap_s: float = _parameter(10.0, "seconds without scans after which a new session begins")
@@ -76,6 +81,14 @@ class Parameters:
         if self.map_frame == self.odom_frame:
             raise ValueError(f"map_frame and odom_frame are both {self.map_frame}")
         require_storey(self.storey)
+        if unknown := set(self.sent_columns) - COLUMNS.keys():
+            raise ValueError(f"columns are of {', '.join(COLUMNS)}, got {', '.join(sorted(unknown))}")
+
+    @property
+    def sent_columns(self) -> tuple[str, ...]:
+        """The columns of the points that are sent."""
+        named = [name.strip() for name in self.columns.split(",") if name.strip()]
+        return tuple(dict.fromkeys([INTENSITY.name, *named] if self.intensity else named))
 
     @classmethod
     def declared(cls) -> tuple[Field[Any], ...]:

@@ -8,9 +8,11 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 import numpy as np
+from numpy.typing import NDArray
 
 from revisit.core.codec.mesh import Mesh
 from revisit.core.errors import UnsupportedEncoding
+from revisit.core.point_columns import COLUMNS, TIME, Columns
 from revisit.formats import NPY, PCD, PLY, encode_npy, encode_pcd, encode_ply, encode_ply_mesh
 from revisit.formats.glb import MEDIA_TYPE as GLB
 from revisit.formats.glb import encode_scene
@@ -125,13 +127,22 @@ def stored_file(
 
 
 def _points(blobs: BlobStore, record: SubmapRecord, source: SubmapSource) -> StoredCloud:
+    """The points with their columns; times are seconds since 1970 in the clock of the robot, float64."""
     require_scans(record)
     if source.posted:
-        return unpack_cloud(blobs.get(record.tenant, CLOUD_BLOB, source.clouds[0].cloud_sha256))
-    submap = load_submap(blobs, record, source, intensity=True)
-    return StoredCloud(submap.points, submap.intensity)
+        cloud = unpack_cloud(blobs.get(record.tenant, CLOUD_BLOB, source.clouds[0].cloud_sha256))
+        return StoredCloud(cloud.points, _on_the_clock(cloud.columns, np.int64(record.stamp_ns)))
+    submap = load_submap(blobs, record, source, COLUMNS)
+    return StoredCloud(submap.points, _on_the_clock(submap.columns, submap.stamps_ns[submap.scan_index]))
+
+
+def _on_the_clock(columns: Columns, stamps_ns: np.int64 | NDArray[np.int64]) -> Columns:
+    """The columns with the time of each point on the clock, where they have the time since its stamp."""
+    if TIME.name not in columns:
+        return columns
+    return {**columns, TIME.name: (stamps_ns + columns[TIME.name]) / 1e9}
 
 
 def _points_file(cloud: StoredCloud, extension: str) -> bytes:
     encode = {"pcd": encode_pcd, "ply": encode_ply, "npy": encode_npy}[extension]
-    return encode(cloud.points, cloud.intensity)
+    return encode(cloud.points, cloud.columns)

@@ -17,6 +17,7 @@ from functools import partial
 import numpy as np
 
 from revisit.core.geometry.se3 import Matrix4, pose_matrix
+from revisit.core.point_columns import same
 from revisit.core.scan import Scan
 from revisit.core.scan_marks import ScanMarks
 from revisit.service.capacity.budget import Remembered
@@ -250,7 +251,4 @@ def _still_there(uow: UnitOfWork, tenant: TenantId, session_numbers: frozenset[i
 
 def _same_points(one: bytes, other: bytes) -> bool:
     first, second = unpack_cloud(one), unpack_cloud(other)
-    if first.intensity is None or second.intensity is None:
-        return first.intensity is second.intensity and np.array_equal(first.points, second.points)
-    same_intensity = np.array_equal(first.intensity, second.intensity, equal_nan=True)
-    return same_intensity and np.array_equal(first.points, second.points)
+    return same(first.columns, second.columns) and np.array_equal(first.points, second.points)

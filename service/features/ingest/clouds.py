@@ -5,20 +5,20 @@ from __future__ import annotations
 import asyncio
 import re
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from concurrent.futures import ThreadPoolExecutor
 from contextvars import copy_context
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from typing import ParamSpec, TypeAlias, TypeVar
 
 import numpy as np
 import zstandard
-from numpy.typing import NDArray
 
 from revisit.core.codec.container import decompressed, from_byte_planes, to_byte_planes
 from revisit.core.errors import DataLoss, FormerForm, RevisitError, TooLarge
-from revisit.core.scan import CloudReport, Points, validate_cloud, validate_intensity
+from revisit.core.point_columns import COLUMNS, INTENSITY, Columns, only, validated
+from revisit.core.scan import CloudReport, Points, validate_cloud
 from revisit.formats import CloudLimits, DecodedCloud, decode_cloud, quantised
 from revisit.formats.cloud import DEFAULT_LIMITS, decode_content
 from revisit.service.capacity.in_flight import Turns
@@ -62,29 +62,28 @@ CloudInput: TypeAlias = EncodedCloud | DecodedCloud
 
 @dataclass(frozen=True)
 class StoredCloud:
-    """The stored part of a cloud: finite points (n, 3) float32 metres in the sensor frame, and intensity (n,) if sent.
+    """The stored part of a cloud: finite points (n, 3) float32 metres in the sensor frame, and the columns sent.
 
     `quantised`: the same as the client sent it, where it came in that form.
     """
 
     points: Points
-    intensity: NDArray[np.float32] | None
+    columns: Columns = field(default_factory=dict)
     quantised: bytes | None = None
 
 
 def accept_cloud(cloud: CloudInput, max_points: int) -> tuple[StoredCloud, CloudReport]:
-    """Decode where needed, validate, and keep the finite points with their intensity.
+    """Decode where needed, validate, and keep the finite points with their columns.
 
-    Raises as `revisit.formats.decode_cloud`, `core.scan.validate_cloud` and `validate_intensity` do, and TooLarge above
-    `max_points`.
+    Raises as `revisit.formats.decode_cloud`, `core.scan.validate_cloud` and `point_columns.validated` do, and TooLarge
+    above `max_points`.
     """
     decoded, sent = _decoded(cloud)
     if len(decoded.points) > max_points:
         raise TooLarge(f"a cloud may hold {max_points} points here, got {len(decoded.points)}", field="points")
     points, report = validate_cloud(decoded.points)
-    if decoded.intensity is None:
-        return StoredCloud(points, None, sent), report
-    return StoredCloud(points, validate_intensity(decoded.intensity, decoded.points), sent), report
+    columns = validated(decoded.columns, decoded.points) if decoded.columns else {}
+    return StoredCloud(points, columns, sent), report
 
 
 def reading_points(cloud: CloudInput) -> int:
@@ -117,21 +116,25 @@ class CloudDecoder:
 def pack_cloud(cloud: StoredCloud) -> bytes:
     """The cloud as a compact, lossless blob: as it was sent, where it is quantised and no larger than its numbers.
 
-    Else a header, then the byte planes of its float32 columns under zstd.
+    Else quantised where it has other columns than intensity, which come in that form alone; else a header, then the
+    byte planes of its float32 numbers under zstd.
     """
-    width = 3 if cloud.intensity is None else 4
-    if cloud.quantised is not None and len(cloud.quantised) <= 4 * width * len(cloud.points):
+    columns, intensity = dict(cloud.columns), cloud.columns.get(INTENSITY.name)
+    bytes_a_point = 12 + sum(4 * COLUMNS[name].channels for name in columns)
+    if cloud.quantised is not None and len(cloud.quantised) <= bytes_a_point * len(cloud.points):
         return cloud.quantised
-    columns = cloud.points if cloud.intensity is None else np.column_stack([cloud.points, cloud.intensity])
-    table = np.ascontiguousarray(columns, dtype="<f4")
+    if columns.keys() - {INTENSITY.name}:
+        return quantised.encode(cloud.points, columns)
+    values = cloud.points if intensity is None else np.column_stack([cloud.points, intensity])
+    table = np.ascontiguousarray(values, dtype="<f4")
     header = _HEADER.pack(_MAGIC, len(table), table.shape[1])
     return header + zstandard.ZstdCompressor(level=1).compress(to_byte_planes(table))
 
 
-def unpack_cloud(blob: bytes) -> StoredCloud:
-    """The cloud of `pack_cloud`. Raises FormerForm, DataLoss for anything else."""
+def unpack_cloud(blob: bytes, wanted: Collection[str] = tuple(COLUMNS)) -> StoredCloud:
+    """The cloud of `pack_cloud` with the columns that are `wanted`. Raises FormerForm, DataLoss for anything else."""
     if blob.startswith(quantised.MAGIC):
-        return _dequantised(blob)
+        return _dequantised(blob, wanted)
     if blob.startswith(_FORMER_MAGIC):
         raise FormerForm("stored cloud", "its robot has to send it again")
     try:
@@ -145,15 +148,16 @@ def unpack_cloud(blob: bytes) -> StoredCloud:
     if len(data) != size:
         raise DataLoss("a stored cloud is incomplete")
     table = from_byte_planes(data, width, "<f4").astype(np.float32)
-    return StoredCloud(np.ascontiguousarray(table[:, :3]), table[:, 3].copy() if width == 4 else None)
+    cloud = DecodedCloud.of_table(table)
+    return StoredCloud(cloud.points, only(cloud.columns, wanted))
 
 
-def _dequantised(blob: bytes) -> StoredCloud:
+def _dequantised(blob: bytes, wanted: Collection[str]) -> StoredCloud:
     try:
-        cloud = quantised.decode(blob, STORED_LIMITS)
+        cloud = quantised.decode(blob, STORED_LIMITS, wanted)
     except RevisitError as error:
         raise DataLoss("a stored cloud is damaged") from error
-    return StoredCloud(cloud.points, cloud.intensity)
+    return StoredCloud(cloud.points, cloud.columns)
 
 
 def _decoded(cloud: CloudInput) -> tuple[DecodedCloud, bytes | None]:

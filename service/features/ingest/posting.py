@@ -12,6 +12,7 @@ import numpy as np
 
 from revisit.core.errors import BadField
 from revisit.core.geometry.se3 import Matrix4, pose_row, position_row
+from revisit.core.point_columns import INTENSITY
 from revisit.core.scan import MAX_SCENE_M, CloudReport, Scan, scene_size
 from revisit.service.capacity.backlog import JobPosting
 from revisit.service.domain import limits
@@ -178,14 +179,14 @@ def _row(
     tenant: TenantId, key: SubmapKey, scan: Scan, cloud: StoredCloud, packed: bytes, report: CloudReport, now_ns: int
 ) -> SubmapRecord:
     pose = np.ascontiguousarray(scan.T_odom_sensor, dtype="<f8")
-    intensity = None if cloud.intensity is None else cloud.intensity.tobytes()
-    content = (pose.tobytes(), scan.stamp_ns, cloud.points.tobytes(), intensity)
+    columns = {name: values.tobytes() for name, values in cloud.columns.items()}
+    content = (pose.tobytes(), scan.stamp_ns, cloud.points.tobytes(), columns.pop(INTENSITY.name, None))
     return SubmapRecord(
         tenant=tenant,
         map_id=key.map_id,
         session_id=key.session_id,
         submap_id=key.submap_id,
-        content_hash=content_hash(content),
+        content_hash=content_hash((*content, *(part for one in columns.items() for part in one))),
         state=SubmapState.QUEUED.value,
         ordinal=0,
         session_number=0,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 
 from revisit.core.config import SubmapConfig
@@ -96,14 +96,14 @@ def spread_rows(first: int, last: int) -> list[int]:
     return [first + round(index * (last - first) / (MAX_SCANS - 1)) for index in range(MAX_SCANS)]
 
 
-def load_submap(blobs: BlobStore, record: SubmapRecord, source: SubmapSource, *, intensity: bool = False) -> Submap:
+def load_submap(blobs: BlobStore, record: SubmapRecord, source: SubmapSource, columns: Collection[str] = ()) -> Submap:
     """The submap with its points: its scans are read one by one, and take no room.
 
-    `intensity`: with that of the points, too, where every scan has it; descriptions need none. Raises DataLoss,
-    EmptyCloud; NotKept where retention has removed them.
+    It has those of the `columns` that all its scans have; descriptions need none. Raises DataLoss, EmptyCloud; NotKept
+    where retention has removed them.
     """
     require_scans(record)
-    scans = each_scan(blobs, record, source, intensity=intensity)
+    scans = each_scan(blobs, record, source, columns)
     if source.posted:
         return Submap.from_cloud(next(scans), source.config)
     room = sum(cloud.point_count for cloud in source.clouds)
@@ -111,15 +111,15 @@ def load_submap(blobs: BlobStore, record: SubmapRecord, source: SubmapSource, *,
 
 
 def each_scan(
-    blobs: BlobStore, record: SubmapRecord, source: SubmapSource, *, intensity: bool = False
+    blobs: BlobStore, record: SubmapRecord, source: SubmapSource, columns: Collection[str] = ()
 ) -> Iterator[Scan]:
     """The scans that a submap is made of, or its one cloud, as they are asked for. Raises DataLoss."""
     for cloud in source.clouds:
-        stored = unpack_cloud(blobs.get(record.tenant, CLOUD_BLOB, cloud.cloud_sha256))
+        stored = unpack_cloud(blobs.get(record.tenant, CLOUD_BLOB, cloud.cloud_sha256), columns)
         yield Scan(
             stored.points,
             pose_matrix(cloud.T_odom_sensor),
             cloud.stamp_ns,
             CloudReport(0, "degenerate_plane" in record.flags),
-            stored.intensity if intensity else None,
+            stored.columns,
         )

@@ -131,7 +131,7 @@ class Conversation:
 
     def _join(self, accepted: StoredCloud, T_odom_sensor: Matrix4) -> _Joined:
         view = self._window.add(accepted.points, T_odom_sensor)
-        packed = secrets.token_bytes(QUERY_NONCE_BYTES) + pack_cloud(StoredCloud(view.points, None))
+        packed = secrets.token_bytes(QUERY_NONCE_BYTES) + pack_cloud(StoredCloud(view.points))
         return _Joined(packed, view)
 
     async def _asked(self, view: ViewCloud, sha256: str) -> ViewAnswer:

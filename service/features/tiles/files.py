@@ -31,7 +31,7 @@ def _rendered(tile: StoredTile, kind: DownloadKind, extension: str) -> bytes:
         return tile.neural_map
     if kind is DownloadKind.POINTS:
         encode = {"pcd": encode_pcd, "ply": encode_ply, "npy": encode_npy}[extension]
-        return encode(tile.points.vertices + tile.centre_m, None)
+        return encode(tile.points.vertices + tile.centre_m)
     mesh = tile.mesh
     if extension == "glb":
         return encode_scene(mesh.vertices, mesh.faces, tile.centre_m)

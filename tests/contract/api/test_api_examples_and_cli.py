@@ -18,8 +18,9 @@ from typer.testing import CliRunner
 from revisit import Client
 from revisit.cli.app import app
 from revisit.core.geometry import se3
-from revisit.evaluation.datasets import write_kitti
-from revisit.formats import decode_cloud, encode_npy
+from revisit.core.point_columns import COLUMNS
+from revisit.evaluation.datasets import KittiRecording, write_kitti
+from revisit.formats import decode_cloud, encode_npy, ply
 from tests.support.fleet_in_service import fleet_in, fleet_in_two
 from tests.support.patience import PATIENCE_S
 from tests.support.service_world import cloud_points, pose
@@ -126,32 +127,56 @@ def test_a_recording_is_ingested_into_a_new_map_of_the_profile_that_is_asked_for
     assert "profile must be one of product, paper" in str(unknown.exception)
 
 
-def test_intensity_is_sent_where_it_is_wanted_and_exported_with_the_map(recording, service, tmp_path):
+def with_columns(recording, folder):
+    """The recording as PLY files whose points have every column; the poses beside them as TUM."""
+    folder.mkdir()
+    poses = []
+    for number, scan in enumerate(KittiRecording(recording)):
+        order = np.arange(len(scan.points))
+        columns = {
+            "intensity": np.full(len(order), 10.0 + number, np.float32),
+            "ring": (order % 16).astype(np.uint16),
+            "time": (order % 100) * 0.001,
+            "rgb": np.column_stack([order % 7, order % 5, 40 + order % 3]).astype(np.uint8),
+        }
+        (folder / f"{number:04d}.ply").write_bytes(ply.encode(scan.points, columns))
+        place, turn = scan.T_odom_sensor[:3, 3], se3.to_quaternion(scan.T_odom_sensor)
+        poses.append(" ".join(map(str, [1_700_000_000 + 0.1 * number, *place, *turn])))
+    (folder / "poses.txt").write_text("\n".join(poses) + "\n")
+    return folder
+
+
+def test_columns_are_sent_where_they_are_wanted_and_exported_with_the_map(recording, service, tmp_path):
     laspy = pytest.importorskip("laspy", reason="in the extra `dev`: reads LAZ")
-    bright = tmp_path / "bright"
-    shutil.copytree(recording, bright)
-    for number, file in enumerate(sorted((bright / "velodyne").glob("*.bin"))):
-        rows = np.fromfile(file, "<f4").reshape(-1, 4)
-        rows[:, 3] = 10 + number
-        rows.tofile(file)
+    bright = with_columns(recording, tmp_path / "bright")
     where = ("--map", "bright", "--grpc", service.grpc, "--json")
-    invoke("ingest", bright, *where, "--session", "dark")
-    invoke("ingest", bright, *where, "--intensity", "--limit", 12, "--no-finish")
-    assert json.loads(invoke("ingest", bright, *where, "--intensity"))["scans_stored"] == 30
+    lacking = CliRunner().invoke(app, ["ingest", str(recording), *where, "--session", "dark", "--columns", "ring"])
+    assert "ring: 30 of 30 scans have none that can be used" in lacking.stderr
+    asked = ("--intensity", "--columns", "rgb,time,ring")
+    invoke("ingest", bright, *where, *asked, "--limit", 12, "--no-finish")
+    assert json.loads(invoke("ingest", bright, *where, *asked))["scans_stored"] == 30
+    unknown = CliRunner().invoke(app, ["ingest", str(bright), *where, "--columns", "speed"])
+    assert unknown.exit_code == 1 and "intensity, ring, time, rgb, not 'speed'" in unknown.stderr
     with Client(service.http) as client:
         files = {
             name: np.load(io.BytesIO(client.download(client.list_submaps(f"maps/bright/sessions/{name}")[0], "npy")))
             for name in ("dark", "bright")
         }
     assert (files["dark"].shape[1], files["bright"].shape[1]) == (3, 4)
-    assert set(np.rint(files["bright"][:, 3])) <= set(range(10, 40)) and len(set(np.rint(files["bright"][:, 3]))) > 2
-    at = ("--http", service.http, "--map", "bright", "--session", "bright")
+    at = ("--http", service.http, "--map", "bright")
     for form in ("laz", "ply", "pcd"):
-        invoke("export", *at, "--format", form, "--out", tmp_path / f"map.{form}")
-    assert set(np.unique(np.rint(laspy.read(tmp_path / "map.laz").intensity / 257))) <= set(range(10, 40))
+        invoke("export", *at, "--session", "bright", "--format", form, "--out", tmp_path / f"map.{form}")
+    found = laspy.read(tmp_path / "map.laz")
+    assert set(np.unique(np.rint(found.intensity / 257))) <= set(range(10, 40))
+    assert set(found["ring"]) == set(range(16)) and set(np.unique(found.blue)) == {257 * 40, 257 * 41, 257 * 42}
     for form, kind in (("ply", "model/ply"), ("pcd", "application/vnd.pcd")):
-        told = decode_cloud((tmp_path / f"map.{form}").read_bytes(), kind).intensity
-        assert told.min() >= 9.99 and told.max() <= 39.01
+        told = decode_cloud((tmp_path / f"map.{form}").read_bytes(), kind, wanted=COLUMNS).columns
+        assert told["intensity"].min() >= 9.99 and told["intensity"].max() <= 39.01
+        assert told["time"].min() >= 1_700_000_000 and 1_700_000_001 < told["time"].max() <= 1_700_000_003.0
+        scan = np.rint(told["intensity"]) - 10  # each has its own, and its points are up to 99 ms behind its stamp
+        behind = told["time"] - 1_700_000_000 - 0.1 * scan
+        assert behind.min() >= -1e-5 and behind.max() <= 0.099 + 1e-5
+        assert (told["rgb"][:, 2] // 4 == 10).all() and told["ring"].max() == 15
 
 
 def test_drives_on_two_storeys_are_ingested_apart(recording, service, tmp_path):

@@ -106,7 +106,7 @@ def test_a_cloud_is_exported_in_the_system_and_names_it(monkeypatch, tmp_path, f
     points, earth = np.random.default_rng(1).uniform(0.0, 50.0, (200, 3)), OnEarth((48.1, 11.5, 520.0), TURNED)
     placed = [PlacedSubmap("maps/site/sessions/a/submaps/1", 0, np.eye(4), "f")]
     monkeypatch.setattr(map_files, "placed_submaps", lambda *_: placed)
-    monkeypatch.setattr(map_files, "merged_cloud", lambda *_, ever: MergedCloud(points, None))
+    monkeypatch.setattr(map_files, "merged_cloud", lambda *_, ever: MergedCloud(points))
     monkeypatch.setattr(earths, "frame_on_earth", lambda *_: earth)
     out = tmp_path / "site.laz"
     asked = ["export", "--map", "site", "--format", form, "--out", str(out), "--epsg"]

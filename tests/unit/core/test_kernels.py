@@ -319,9 +319,9 @@ def test_returns_are_placed_as_by_the_plain_transform_without_those_out_of_range
     assert place_returns(pose, points, 8.0, 25.0, 20.0, room[50:]) == kept.sum()
     np.testing.assert_allclose(room[50 : 50 + kept.sum()], expected[kept], atol=1e-5)
     assert not room[:50].any()
-    bright, again = np.arange(500, dtype=np.float32), np.zeros((600, 3), np.float32)
-    assert place_returns(pose, points, 8.0, 25.0, 20.0, again[50:], bright) == kept.sum()
-    np.testing.assert_array_equal(bright[: kept.sum()], np.flatnonzero(kept))
+    rows, again = np.arange(500, dtype=np.int32), np.zeros((600, 3), np.float32)
+    assert place_returns(pose, points, 8.0, 25.0, 20.0, again[50:], rows) == kept.sum()
+    np.testing.assert_array_equal(rows[: kept.sum()], np.flatnonzero(kept))
     np.testing.assert_array_equal(again[50 : 50 + kept.sum()], room[50 : 50 + kept.sum()])
 
 

@@ -18,7 +18,7 @@ from revisit.core.errors import BadField, MalformedBody, TooLarge, UnsupportedEn
 from revisit.core.geometry import se3
 from revisit.evaluation.datasets import WantedTopics, open_bag
 from revisit.evaluation.datasets.bag_message import unpacked_chunk
-from revisit.evaluation.datasets.ros_messages import CLOUD_TYPES, read_intensity, read_points
+from revisit.evaluation.datasets.ros_messages import CLOUD_TYPES, read_columns, read_points
 
 MAGIC = b"\x89MCAP0\r\n"
 COUNT = 120
@@ -257,7 +257,7 @@ def test_what_a_driver_writes_of_other_fields_costs_no_scan(name: bytes, kind: i
     message = cdr.put("B", 0).put("I", 16, 16 * COUNT).raw(rows.tobytes()).put("B", 1).message()
     np.testing.assert_array_equal(read_points(message, CLOUD_TYPES[0]), cloud(0))
     if kind != 7:
-        assert read_intensity(message, CLOUD_TYPES[0]) is None
+        assert not read_columns(message, CLOUD_TYPES[0], ("intensity",))
 
 
 @pytest.mark.parametrize("name", ["intensity", "Reflectivity"])
@@ -271,7 +271,7 @@ def test_the_intensity_of_a_cloud_is_read_beside_its_points(name: str) -> None:
         cdr.raw(field).put("I", 4 * index).put("B", 7 if index < 3 else 4).put("I", 1)
     message = cdr.put("B", 0).put("I", 14, 14 * COUNT).raw(rows.tobytes()).put("B", 1).message()
     np.testing.assert_array_equal(read_points(message, CLOUD_TYPES[0]), cloud(0))
-    np.testing.assert_array_equal(read_intensity(message, CLOUD_TYPES[0]), bright)
+    np.testing.assert_array_equal(read_columns(message, CLOUD_TYPES[0], ("intensity",))["intensity"], bright)
 
 
 def test_a_sqlite_bag_is_read_like_an_mcap_file(tmp_path: Path) -> None:

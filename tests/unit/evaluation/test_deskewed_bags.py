@@ -41,20 +41,23 @@ def sweep(stamp_ns: int) -> tuple[np.ndarray, np.ndarray]:
     return np.array(points), np.array(times)
 
 
-def spinning(field: str = "t", topic: str = "/points", timed: bool = True) -> Layout:
+def spinning(field: str = "t", topic: str = "/points", timed: bool = True, later_ns: int = 0) -> Layout:
     layout = Layout().odometry("/odom", "odom", "lidar", stamps=EVERY_20_MS)
     kinds = [(name, 4 * index, 7) for index, name in enumerate("xyz")] + ([(field, 12, 6)] if timed else [])
+    kinds += [("channel", 16, 4), ("rgb", 18, 7)]
     fields = [
         layout.types["sensor_msgs/msg/PointField"](name=name, offset=at, datatype=kind, count=1)
         for name, at, kind in kinds
     ]
-    for stamp in scan_stamps():
+    for stamp in (one + later_ns for one in scan_stamps()):
         points, times = sweep(stamp)
-        rows = np.zeros(len(points), [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("t", "<u4")])
+        told = [(name, kind) for name, kind in zip("xyztrc", ("<f4", "<f4", "<f4", "<u4", "<u2", "<u4"), strict=True)]
+        rows = np.zeros(len(points), told)
         rows["x"], rows["y"], rows["z"], rows["t"] = *points.T, times
+        rows["r"], rows["c"] = np.tile(np.arange(RINGS), RAYS), 0x00102030 + np.arange(len(points)) % 8
         cloud = layout.types["sensor_msgs/msg/PointCloud2"](
             header=layout.header(stamp, "lidar"), height=1, width=len(rows), fields=fields, is_bigendian=False,
-            point_step=16, row_step=16 * len(rows), data=np.frombuffer(rows.tobytes(), np.uint8), is_dense=True,
+            point_step=22, row_step=22 * len(rows), data=np.frombuffer(rows.tobytes(), np.uint8), is_dense=True,
         )  # fmt: skip
         layout.rows.append((stamp, topic, "sensor_msgs/msg/PointCloud2", cloud))
     return layout
@@ -74,6 +77,28 @@ def bag(tmp_path_factory) -> Path:
 def test_a_blurred_room_is_sharp_once_it_is_deskewed(bag: Path) -> None:
     before, after = (blur_m(open_bag(bag, WantedTopics(deskew=deskew))) for deskew in (False, True))
     assert before > 0.2 and after < 0.005
+
+
+def test_points_that_are_deskewed_keep_their_ring_time_and_colour(bag: Path) -> None:
+    recording = open_bag(bag)
+    plain, scan = recording.scan(3), replace(recording, columns=("ring", "time", "rgb")).scan(3)
+    assert np.array_equal(scan.points, plain.points) and not plain.columns
+    number = np.arange(len(scan.points))
+    assert np.array_equal(scan.columns["time"], sweep(int(recording.stamps_ns[3]))[1])
+    assert np.array_equal(scan.columns["ring"], number % RINGS)
+    assert np.array_equal(
+        scan.columns["rgb"], np.column_stack([0 * number + 0x10, 0 * number + 0x20, 0x30 + number % 8])
+    )
+
+
+def test_the_times_of_two_lidars_count_from_the_stamp_of_their_scan(tmp_path: Path) -> None:
+    layout, other = spinning(topic="/front/points"), spinning(topic="/rear/points", later_ns=30_000_000)
+    layout.rows += [row for row in other.rows if row[1] == "/rear/points"]
+    together = WantedTopics("/front/points", together=("/rear/points",))
+    recording = replace(open_bag(layout.write2(tmp_path / "drive"), together), columns=("ring", "time"))
+    times = recording.scan(3).columns["time"].reshape(2, -1)
+    assert np.array_equal(times[1] - times[0], np.full(RAYS * RINGS, 30_000_000))
+    assert recording.scan(3).columns["ring"].max() == RINGS - 1, "rings are those of each LiDAR"
 
 
 def test_that_it_is_deskewed_is_told_and_can_be_switched_off(bag: Path, capsys) -> None:

@@ -24,7 +24,7 @@ def points():
 
 def test_another_reader_finds_every_point_with_its_intensity(tmp_path, points):
     intensity = np.linspace(0.0, 1.0, len(points), dtype=np.float32)
-    copc.write(tmp_path / "a.copc.laz", points, intensity=intensity)
+    copc.write(tmp_path / "a.copc.laz", points, columns={"intensity": intensity})
     found = laspy.read(tmp_path / "a.copc.laz")
     order, expected = np.argsort(found.intensity, kind="stable"), np.argsort(intensity)
     np.testing.assert_allclose(np.sort(found.intensity / 65535), intensity[expected], atol=1e-5)

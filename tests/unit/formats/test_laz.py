@@ -27,7 +27,7 @@ def test_intensity_is_a_share_of_the_range_of_the_sensor_in_16_bits(span, step):
     random = np.random.default_rng(0)
     points, intensity = random.uniform(-9.0, 9.0, (500, 3)), random.uniform(0.0, 1.0, 500).astype(np.float32) * span
     intensity[0] = span
-    found = laspy.read(io.BytesIO(laz.encode(points, intensity=intensity)))
+    found = laspy.read(io.BytesIO(laz.encode(points, columns={"intensity": intensity})))
     np.testing.assert_allclose(found.intensity * step, intensity, atol=0.51 * step)
     assert not laspy.read(io.BytesIO(laz.encode(points))).intensity.any()
 

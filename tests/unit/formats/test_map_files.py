@@ -53,15 +53,15 @@ def test_meshes_in_utm_are_exact_to_the_millimetre():
 
 
 @pytest.mark.parametrize("extension", ["ply", "pcd"])
-@pytest.mark.parametrize("intensity", [None, np.linspace(0.0, 1.0, 4)])
-def test_clouds_in_utm_are_exact_to_the_millimetre_and_others_as_small_as_before(tmp_path, extension, intensity):
+@pytest.mark.parametrize("columns", [{}, {"intensity": np.linspace(0.0, 1.0, 4)}])
+def test_clouds_in_utm_are_exact_to_the_millimetre_and_others_as_small_as_before(tmp_path, extension, columns):
     encode, file = {"ply": ply.encode, "pcd": pcd.encode}[extension], tmp_path / f"cloud.{extension}"
-    file.write_bytes(encode(IN_UTM, intensity))
+    file.write_bytes(encode(IN_UTM, columns))
     read = o3d.t.io.read_point_cloud(str(file))
     np.testing.assert_allclose(read.point.positions.numpy(), IN_UTM, rtol=0, atol=1e-9)
-    near = VERTICES if intensity is None else np.column_stack([VERTICES, intensity])
-    assert encode(VERTICES, intensity).endswith(b"\n" + near.astype("<f4").tobytes())
-    np.testing.assert_array_equal(np.load(io.BytesIO(npy.encode(IN_UTM, intensity)))[:, :3], IN_UTM)
+    near = np.column_stack([VERTICES, *columns.values()])
+    assert encode(VERTICES, columns).endswith(b"\n" + near.astype("<f4").tobytes())
+    np.testing.assert_array_equal(np.load(io.BytesIO(npy.encode(IN_UTM, columns)))[:, :3], IN_UTM)
 
 
 @pytest.mark.parametrize(

@@ -18,7 +18,7 @@ def test_every_format_gives_the_same_points_and_intensities(valid_file, make):
     expected = make.records()
     assert cloud.points.dtype == np.float32
     np.testing.assert_allclose(cloud.points, expected[:, :3], rtol=0, atol=1e-6)
-    np.testing.assert_allclose(cloud.intensity, expected[:, 3], rtol=0, atol=1e-5)
+    np.testing.assert_allclose(cloud.columns["intensity"], expected[:, 3], rtol=0, atol=1e-5)
 
 
 @pytest.mark.parametrize("media_type", formats.MEDIA_TYPES)
@@ -33,17 +33,19 @@ def test_what_an_encoder_writes_its_decoder_reads(media_type, with_intensity, ma
         formats.QUANTISED: formats.encode_quantised,
     }[media_type]
     values = make.records()
-    cloud = formats.decode_cloud(encode(values[:, :3], values[:, 3] if with_intensity else None), media_type)
+    cloud = formats.decode_cloud(
+        encode(values[:, :3], {"intensity": values[:, 3]} if with_intensity else {}), media_type
+    )
     np.testing.assert_allclose(cloud.points, values[:, :3], rtol=0, atol=1e-6)
     if with_intensity:
-        np.testing.assert_allclose(cloud.intensity, values[:, 3], rtol=0, atol=1e-5)
+        np.testing.assert_allclose(cloud.columns["intensity"], values[:, 3], rtol=0, atol=1e-5)
     else:
-        assert cloud.intensity is None or not cloud.intensity.any()
+        assert not any(column.any() for column in cloud.columns.values())
 
 
 def test_numpy_reads_the_npy_files_that_we_write(tmp_path, make):
     values = make.records()
-    (tmp_path / "cloud.npy").write_bytes(formats.encode_npy(values[:, :3], values[:, 3]))
+    (tmp_path / "cloud.npy").write_bytes(formats.encode_npy(values[:, :3], {"intensity": values[:, 3]}))
     np.testing.assert_array_equal(np.load(tmp_path / "cloud.npy", allow_pickle=False), values)
 
 
@@ -63,7 +65,7 @@ def test_a_quantised_cloud_is_within_half_a_millimetre_and_smaller():
     rng = np.random.default_rng(3)
     angles = np.sort(rng.uniform(0, 2 * np.pi, 20_000))
     points = np.column_stack([20 * np.cos(angles), 20 * np.sin(angles), rng.uniform(-2, -1, 20_000)]).astype("f4")
-    data = formats.encode_quantised(points, np.full(20_000, 0.25, "f4"))
+    data = formats.encode_quantised(points, {"intensity": np.full(20_000, 0.25, "f4")})
     cloud = formats.decode_cloud(data, formats.QUANTISED)
     assert np.abs(cloud.points - points).max() <= 0.0005 + 2e-6  # float32 of 20 m resolves 2 um
     assert len(data) < 0.5 * 16 * 20_000
@@ -85,7 +87,7 @@ def test_any_intensities_of_a_quantised_cloud_are_summed_up_as_by_the_plain_form
     body = zstandard.ZstdCompressor().compress(bytes(12 * count) + levels.tobytes())
     cloud = formats.decode_cloud(header + body, formats.QUANTISED)
     assert not cloud.points.any()
-    np.testing.assert_array_equal(cloud.intensity, (0.5 * summed).astype("f4"))
+    np.testing.assert_array_equal(cloud.columns["intensity"], (0.5 * summed).astype("f4"))
 
 
 @pytest.mark.parametrize(("value", "error"), [(np.nan, BadField), (np.inf, BadField), (10_001.0, OutOfRange)])
@@ -96,7 +98,7 @@ def test_points_that_a_millimetre_grid_cannot_hold_are_not_quantised(value, erro
 
 def test_a_quantised_cloud_travels_inside_a_packed_cloud(make):
     values = make.records()
-    packed = formats.pack(values[:, :3], values[:, 3], formats.Encoding.QUANTISED)
+    packed = formats.pack(values[:, :3], {"intensity": values[:, 3]}, formats.Encoding.QUANTISED)
     assert formats.PackedCloud.from_bytes(packed.to_bytes()) == packed
     cloud = formats.decode_cloud(packed.to_bytes(), formats.POINTCLOUD2)
     np.testing.assert_allclose(cloud.points, values[:, :3], atol=1e-6)

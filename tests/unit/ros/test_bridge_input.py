@@ -8,7 +8,7 @@ import pytest
 pytest.importorskip("rosbags", reason="in the extra `dev`: gives the messages' types")
 
 from revisit_bridge.bridge import Bridge
-from revisit_bridge.messages import points_of, pose_of
+from revisit_bridge.messages import cloud_of, points_of, pose_of
 from revisit_bridge.pairing import OdometryPoses, TransformPoses, Unknown, WaitingClouds
 from revisit_bridge.parameters import Parameters
 
@@ -45,13 +45,16 @@ def test_intensity_is_read_where_it_is_asked_for(ros) -> None:
     points[1] = 0.0
     cloud = ros.cloud(points, SECOND, "lidar", intensity=told)
     assert points_of(cloud).shape == (5, 3)
-    assert np.array_equal(points_of(cloud, intensity=True), np.column_stack([points, told])[[0, 2, 3, 4, 5]])
+    kept = [0, 2, 3, 4, 5]
+    found = cloud_of(cloud, None, ("intensity", "ring"))
+    assert np.array_equal(found.points, points[kept]) and np.array_equal(found.columns["intensity"], told[kept])
 
 
 @pytest.mark.parametrize("wrong", [None, 0.0, -1.0, np.nan, 7e4], ids=str)
 def test_an_intensity_that_cannot_be_used_costs_no_scan(ros, wrong) -> None:
     told = None if wrong is None else np.full(6, wrong, np.float32)
-    assert points_of(ros.cloud(np.ones((6, 3)), SECOND, "lidar", intensity=told), intensity=True).shape == (6, 3)
+    found = cloud_of(ros.cloud(np.ones((6, 3)), SECOND, "lidar", intensity=told), None, ("intensity",))
+    assert found.points.shape == (6, 3) and not found.columns
 
 
 def test_points_that_did_not_come_back_are_left_out(ros) -> None:
@@ -203,13 +206,25 @@ class SentScans(list):
         self.append(points)
 
 
-@pytest.mark.parametrize(("intensity", "columns"), [(False, 3), (True, 4)])
-def test_the_bridge_sends_intensity_where_the_parameter_asks_for_it(ros, tmp_path, intensity, columns) -> None:
-    own, sent = Parameters(odometry_topic="odometry", intensity=intensity), SentScans()
+@pytest.mark.parametrize(
+    ("asked", "sent_too"),
+    [({}, set()), ({"intensity": True}, {"intensity"}), ({"columns": "time, intensity"}, {"intensity", "time"})],
+)
+def test_the_bridge_sends_the_columns_that_the_parameters_ask_for(ros, tmp_path, asked, sent_too) -> None:
+    own, sent = Parameters(odometry_topic="odometry", **asked), SentScans()
     bridge = Bridge(own, mounted, sent, None, "boot", tmp_path / "last.json", lambda: 0.0)
+    took = np.linspace(0, 9e7, 50).astype(np.uint32)
     for stamp, of_frame in ((SECOND, "lidar"), (2 * SECOND, "odom")):  # of the sensor, and registered by odometry
-        bridge.take_cloud(ros.cloud(np.ones((50, 3)), stamp, of_frame, intensity=np.full(50, 9.0)))
-        bridge.take_odometry(ros.odometry(se3.from_yaw(0.0, (1.0, 0.0, 0.0)), stamp))
-    assert [points.shape for points in sent] == 2 * [(50, columns)]
-    assert np.unique(sent[1][:, 0]) == [0.0] and (not intensity or np.unique(sent[1][:, 3]) == [9.0])
+        bridge.take_cloud(ros.cloud(np.ones((50, 3)), stamp, of_frame, offsets_ns=took, intensity=np.full(50, 9.0)))
+        for at in (stamp, stamp + 10**8):  # to the last point
+            bridge.take_odometry(ros.odometry(se3.from_yaw(0.0, (1.0, 0.0, 0.0)), at))
+    assert [set(getattr(one, "columns", {})) for one in sent] == 2 * [sent_too]
+    points = getattr(sent[1], "points", sent[1])
+    assert points.shape == (50, 3) and np.unique(points[:, 0]) == [0.0]
+    assert "time" not in sent_too or np.array_equal(sent[1].columns["time"], took)
     bridge.close()
+
+
+def test_a_column_that_no_point_has_is_no_parameter() -> None:
+    with pytest.raises(ValueError, match="columns are of intensity, ring, time, rgb, got speed"):
+        Parameters(columns="ring,speed")

@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from revisit.core.errors import BadField
 from revisit.formats import NPY, QUANTISED, decode_cloud
 from revisit.sdk import clouds
-from revisit.sdk.clouds import Cloud, count_returns, encoded
+from revisit.sdk.clouds import Cloud, PointCloud, count_returns, encoded
 
 POINTS = np.random.default_rng(1).uniform(-50, 50, (500, 3)).astype(np.float32)
 
@@ -23,8 +24,19 @@ def test_a_fourth_column_is_the_intensity():
     with_intensity = np.column_stack([POINTS, np.linspace(0, 1, 500, dtype=np.float32)])
     cloud = encoded(with_intensity)
     np.testing.assert_allclose(
-        decode_cloud(cloud.data, cloud.content_type).intensity, with_intensity[:, 3], rtol=0, atol=1e-5
+        decode_cloud(cloud.data, cloud.content_type).columns["intensity"], with_intensity[:, 3], rtol=0, atol=1e-5
     )
+
+
+def test_a_cloud_with_columns_travels_without_the_points_that_are_none():
+    points, ring = POINTS.copy(), np.arange(500, dtype=np.uint16)
+    points[3, 1] = np.nan
+    cloud = encoded(PointCloud(points, {"ring": ring}))
+    back = decode_cloud(cloud.data, cloud.content_type)
+    np.testing.assert_array_equal(back.columns["ring"], np.delete(ring, 3))
+    assert count_returns(PointCloud(points, {"ring": ring})) == 499
+    with pytest.raises(BadField, match="ring must be 0 to 65,535"):
+        encoded(PointCloud(POINTS, {"ring": ring - 1.0}))
 
 
 @pytest.mark.parametrize("spoilt", [np.nan, np.inf, 20_000.0])

@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 
 from revisit.cli import map_files
+from revisit.cli.export import _cloud_of as export_cloud
 from revisit.cli.map_files import PlacedSubmap, merged_cloud, merged_mesh
-from revisit.formats import encode_npy
+from revisit.formats import encode_pcd
 from tests.support.walled_scenes import WALL, seen
 
 
@@ -24,7 +25,7 @@ def two_days(monkeypatch):
     def download(name, kind):
         asked.append((name, kind))
         neural_map = maps[name].neural_map
-        return neural_map.to_blob() if kind == "neural" else encode_npy(neural_map.points.positions, None)
+        return neural_map.to_blob() if kind == "neural" else encode_pcd(neural_map.points.positions)
 
     monkeypatch.setattr(map_files, "Client", lambda http: nullcontext(SimpleNamespace(download=download)))
     placed = [PlacedSubmap(name, one.stamp_ns, one.T_map_submap) for name, one in maps.items()]
@@ -53,7 +54,7 @@ def test_a_mesh_lacks_what_a_later_drive_looked_through(two_days):
 def test_of_one_drive_no_neural_map_is_read_for_a_cloud(two_days):
     placed, asked = two_days
     cloud = merged_cloud("", placed[:1], lambda *_: None).points
-    assert walls(cloud) > 0 and {kind for _, kind in asked} == {"npy"}
+    assert walls(cloud) > 0 and {kind for _, kind in asked} == {"pcd"}
 
 
 def test_where_no_drives_are_compared_the_neural_maps_of_those_without_scans_alone_are_read(two_days):
@@ -61,7 +62,7 @@ def test_where_no_drives_are_compared_the_neural_maps_of_those_without_scans_alo
     both = merged_cloud("", [after, before], lambda *_: None, ever=True).points
     asked.clear()
     cloud = merged_cloud("", [after, replace(before, has_scans=False)], lambda *_: None, ever=True).points
-    assert sorted(asked) == sorted([(after.name, "npy"), (before.name, "neural")])
+    assert sorted(asked) == sorted([(after.name, "pcd"), (before.name, "neural")])
     assert walls(cloud) > 20 and walls(both) > 20
 
 
@@ -82,3 +83,19 @@ def test_the_comparison_of_drives_is_a_stage_of_its_own(two_days, made):
     made("", placed, lambda *stage: told.append(stage))
     squares = [(done, total) for stage, done, total in told if stage == "squares compared"]
     assert squares == [(done, squares[-1][1]) for done in range(len(squares))] and len(squares) > 1
+
+
+def test_a_column_that_some_submaps_lack_is_left_out_and_told_and_intensity_is_0_there(two_days, monkeypatch, capsys):
+    placed, _ = two_days
+    points = np.arange(30.0).reshape(10, 3)
+    columns = {"intensity": np.full(10, 9.0, np.float32), "ring": np.arange(10, dtype=np.uint16)}
+
+    def download(name, _kind):
+        return encode_pcd(points + 100 * ("day2" in name), columns if "day2" in name else {})
+
+    monkeypatch.setattr(map_files, "Client", lambda http: nullcontext(SimpleNamespace(download=download)))
+    cloud = export_cloud("", placed, lambda *_: None, ever=True)
+    assert "ring is left out: some submaps have none" in capsys.readouterr().err
+    assert sorted(cloud.columns["intensity"]) == [0.0] * 10 + [9.0] * 10 and cloud.columns.keys() == {"intensity"}
+    alone = export_cloud("", placed[1:], lambda *_: None, ever=True)
+    assert sorted(alone.columns["ring"]) == list(range(10)) and not alone.left_out
