@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from revisit.core.kernels.loops import inner_sums, sums
+from revisit.core.kernels.loops import inner_sums, loop, sums
 
 Array64 = NDArray[np.float64]
 Rows = NDArray[np.int64]
@@ -39,6 +39,23 @@ def edge_pulls(
     given = np.ascontiguousarray(information), np.ascontiguousarray(errors), np.ascontiguousarray(poses)
     rows = np.ascontiguousarray(first), np.ascontiguousarray(second)
     return _add_pulls(*rows, *given, gradient, np.empty(6)), gradient
+
+
+def summed(values: Array64, rows: Rows, count: int) -> Array64:
+    """Sums (count, ...) of values (e, ...) by row (e,), each in the order of the values."""
+    totals = np.zeros((count, *values.shape[1:]))
+    given = values.reshape(len(rows), totals[:1].size)
+    _add(np.ascontiguousarray(rows), np.ascontiguousarray(given), totals.reshape(count, given.shape[1]))
+    return totals
+
+
+@loop
+def _add(rows: Rows, values: Array64, totals: Array64) -> None:
+    """Adds each of the values (e, k) to its row of `totals` (n, k)."""
+    for e in range(len(rows)):
+        of_row, value = totals[rows[e]], values[e]
+        for k in range(len(value)):
+            of_row[k] += value[k]
 
 
 @sums

@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 
 from revisit.core.geometry import se3_rows
 from revisit.core.kernels.block_cholesky import SIDE
-from revisit.core.pose_graph.normal_equations import Edges, Equations, Rows, summed
+from revisit.core.kernels.pose_edges import summed
+from revisit.core.pose_graph.normal_equations import Edges, Equations, Rows
 
 Array64 = NDArray[np.float64]
 

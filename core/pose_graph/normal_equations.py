@@ -9,7 +9,6 @@ submaps a bend of 0.2 m was enough for old equations to lead away from the optim
 from __future__ import annotations
 
 import itertools
-import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -31,7 +30,7 @@ from revisit.core.kernels.block_cholesky import (
     path,
     solved,
 )
-from revisit.core.kernels.pose_edges import edge_errors, edge_pulls
+from revisit.core.kernels.pose_edges import edge_errors, edge_pulls, summed
 from revisit.core.pose_graph.graph import LoopEdge, Node, Trajectory
 
 Array64 = NDArray[np.float64]
@@ -332,11 +331,3 @@ def _information(covariances: Array64) -> Array64:
     """The inverses (e, 6, 6) of covariances, symmetric to the last digit."""
     found = np.linalg.inv(covariances)
     return np.asarray(0.5 * (found + found.transpose(0, 2, 1)))
-
-
-def summed(values: Array64, rows: Rows, count: int) -> Array64:
-    """Sums (count, ...) of values (e, ...) by row."""
-    ones, at = np.ones(len(rows)), np.arange(len(rows))
-    flat = values.reshape(len(rows), math.prod(values.shape[1:]))
-    summed = sparse.csr_matrix((ones, (rows, at)), shape=(count, len(rows))) @ flat
-    return np.asarray(summed).reshape(count, *values.shape[1:])

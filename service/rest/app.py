@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, ClassVar
 
 from fastapi import FastAPI
 
@@ -35,6 +35,18 @@ BODIES_AND_FILES = (searches, clouds, downloads, plans, events)
 """Written by hand: bodies that are clouds or pictures, answers that are files or streams."""
 
 
+class _Application(FastAPI):
+    """All of a process have the same routes, and so one OpenAPI document, which the first of them makes."""
+
+    _document: ClassVar[dict[str, Any]] = {}
+
+    def openapi(self) -> dict[str, Any]:
+        if not self._document:
+            self._document.update(super().openapi())
+            _complete(self, self._document)
+        return self._document
+
+
 def create_app(
     use_cases: UseCases,
     limits: HttpLimits = HttpLimits(),
@@ -49,7 +61,7 @@ def create_app(
     `described`: it answers with its OpenAPI document. Raises RuntimeError for a route without a declaration of its
     scopes.
     """
-    app = FastAPI(
+    app = _Application(
         title="Revisit",
         version=API_VERSION,
         summary="Loop closure as a service for robot fleets",
@@ -78,16 +90,15 @@ def create_app(
     app.add_middleware(RequestEnvelope)
     if requests is not None:
         app.add_middleware(RequestTimer, requests=requests)
-    _complete_description(app)
+    app.openapi()
     return app
 
 
-def _complete_description(app: FastAPI) -> None:
+def _complete(app: FastAPI, document: dict[str, Any]) -> None:
     """Add the schemas of answers to the OpenAPI document, and every status of the error table to every operation.
 
     FastAPI's own 422 is never sent; its schemas go.
     """
-    document = app.openapi()
     describe_answers(document)
     schemas = document["components"]["schemas"]
     schemas["Problem"] = Problem.model_json_schema()

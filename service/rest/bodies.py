@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import json
 import re
-from functools import partial
+from functools import cache, partial
 from typing import Any, TypeVar
 
 from fastapi import Depends
@@ -56,6 +56,7 @@ def json_body(schema: type[SchemaT]) -> Any:
     return Depends(read)
 
 
+@cache
 def describe_json(schema: type[BaseModel]) -> dict[str, Any]:
     """The OpenAPI part for a body read by `json_body`."""
     content = {"application/json": {"schema": schema.model_json_schema()}}

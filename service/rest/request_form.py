@@ -115,6 +115,7 @@ def _attribute(body: Request | None, name: str) -> Any:
     return getattr(body, name)
 
 
+@cache
 def form_of(call: Call, without: frozenset[str] = frozenset()) -> RequestForm:
     """The form of the request of a call that HTTP has, but for the fields `without`, which have a form of their own."""
     named, pattern, ids = resource_in(call)
