@@ -12,7 +12,9 @@ const MOST_KEPT = 400;
 const MOST_POINTS = 60_000;
 
 const points = new PLYLoader();
-points.setCustomPropertyNameMapping({ intensity: ["intensity"] });
+points.setCustomPropertyNameMapping({ intensity: ["intensity"], ring: ["ring"] });
+/** The columns of points that are drawn, and how many numbers each has. */
+const COLUMNS = { intensity: 1, ring: 1, color: 3 };
 const meshes = new GLTFLoader().setMeshoptDecoder(MeshoptDecoder);
 const kept = new Map();
 const waiting = [];
@@ -87,28 +89,34 @@ function inMetres(geometry, matrix) {
   return made;
 }
 
-/** Every n-th point, with its intensity where points have one, so that there are at most `MOST_POINTS`. */
+/** Every n-th point, with the columns that points have, so that there are at most `MOST_POINTS`. */
 function thinned(geometry) {
   const all = geometry.getAttribute("position");
   const step = Math.max(1, Math.ceil(all.count / MOST_POINTS));
-  const count = Math.ceil(all.count / step);
-  const points = new Float32Array(3 * count);
-  const column = geometry.getAttribute("intensity");
-  const told = Number.isFinite(column?.getX(0)) ? column : null; // the loader makes up a column that a file has not
-  const intensities = new Float32Array(told ? count : 0);
-  for (let to = 0, from = 0; to < count; to += 1, from += step) {
-    points.set([all.getX(from), all.getY(from), all.getZ(from)], 3 * to);
-    if (told) intensities[to] = told.getX(from);
-  }
   const made = new BufferGeometry();
+  const points = everyNth(all, 3, step);
   made.setAttribute("position", new BufferAttribute(points, 3));
   made.computeBoundingSphere();
-  made.userData.heights = bulkOf(points.filter((_, index) => index % 3 === 2), 1);
-  if (told) {
-    made.setAttribute("intensity", new BufferAttribute(intensities, 1));
-    made.userData.intensities = bulkOf(intensities.slice(), 0);
+  made.userData = { heights: bulkOf(points.filter((_, index) => index % 3 === 2), 1), ranges: {} };
+  for (const [name, size] of Object.entries(COLUMNS)) {
+    const column = geometry.getAttribute(name);
+    if (!Number.isFinite(column?.getX(0))) continue; // the loader makes up a column that a file has not
+    const values = everyNth(column, size, step);
+    made.setAttribute(name, new BufferAttribute(values, size));
+    made.userData.ranges[name] = bulkOf(values.slice(), 0);
   }
   return made;
+}
+
+/** The numbers of every n-th point of an attribute, `size` of each. */
+function everyNth(attribute, size, step) {
+  const count = Math.ceil(attribute.count / step);
+  const values = new Float32Array(size * count);
+  for (let to = 0, from = 0; to < count; to += 1, from += step) {
+    values[size * to] = attribute.getX(from);
+    if (size === 3) values.set([attribute.getY(from), attribute.getZ(from)], size * to + 1);
+  }
+  return values;
 }
 
 /** The numbers between which nearly all of `values` lie, which are sorted; 0 and `high` for none. */

@@ -49,19 +49,23 @@ function residuals(submaps, loops, frame) {
   return new Map([...sums].map(([name, [sum, count]]) => [name, sum / count]));
 }
 
+/** The columns of points that colours can tell, by kind: the attribute, the ends of the legend, the title. */
+const OF_POINTS = {
+  intensity: { attribute: "intensity", legend: ["weak", "strong"], title: "Intensity of the points, each submap by its own range; grey: it was not sent" },
+  ring: { attribute: "ring", legend: ["first", "last"], title: "Ring of the points, the laser within its sensor; grey: it was not sent" },
+  colour: { attribute: "color", legend: ["", ""], title: "Colour of the points; grey: it was not sent" },
+};
+
 /**
- * What `kind` (height, intensity, age, residual) says of submaps: { colourOf, legend: [low, high] in words, low, high };
- * null for "session", whose colours are those of the sessions. Intensity is of points alone: it has no number for a submap.
+ * What `kind` (height, intensity, ring, colour, age, residual) says of submaps: { colourOf, legend: [low, high] in words, low, high };
+ * null for "session", whose colours are those of the sessions. Intensity, ring and colour are of points alone: they have no number for a submap.
  */
 export function colouring(kind, submaps, loops, frame, heightOf) {
   if (kind === "height") {
     const found = scaled(new Map(submaps.map(({ name }) => [name, heightOf(name)]).filter(([, height]) => height !== undefined)));
     return { ...found, legend: [METRES(found.low), METRES(found.high)], title: "Height", byHeight: true };
   }
-  if (kind === "intensity") {
-    const title = "Intensity of the points, each submap by its own range; grey: it was not sent";
-    return { colourOf: () => UNKNOWN, legend: ["weak", "strong"], title, byIntensity: true };
-  }
+  if (OF_POINTS[kind]) return { ...OF_POINTS[kind], colourOf: () => UNKNOWN };
   if (kind === "age") {
     const found = scaled(new Map(submaps.map(({ name, stamp_ns }) => [name, Number(stamp_ns) / 1e9])));
     const newest = Math.max(...submaps.map(({ stamp_ns }) => Number(stamp_ns) / 1e9));

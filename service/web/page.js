@@ -281,7 +281,7 @@ function colouringNow() {
 }
 
 function tellLegend(shown) {
-  byId("legend").hidden = !shown;
+  byId("legend").hidden = !shown || shown.attribute === "color";
   if (!shown) return;
   byId("legend").title = shown.title;
   [byId("legend-low").textContent, byId("legend-high").textContent] = shown.legend;

@@ -326,11 +326,13 @@ export class MapView {
     this.draw();
   }
 
-  /** The material of a submap's points; by height or intensity they have the whole ramp, each point for itself. */
+  /** The material of a submap's points; by height or a column they have the whole ramp, or their colour, each for itself. */
   pointsOf(place, tint, geometry) {
     const size = 1.4 * this.renderer.getPixelRatio();
-    const { heights, intensities } = geometry.userData;
-    if (this.colouring?.byIntensity && intensities) return rampMaterial(size, "intensity", intensities, 1e-6);
+    const { heights, ranges } = geometry.userData;
+    const attribute = this.colouring?.attribute;
+    if (attribute === "color" && ranges.color) return new THREE.ShaderMaterial({ ...CLOUD, vertexShader: OWN_COLOURS, uniforms: { size: { value: size } } });
+    if (ranges[attribute]) return rampMaterial(size, attribute, ranges[attribute], 1e-6);
     if (!this.colouring?.byHeight) return pointsMaterial(tint, size, heights);
     const { elements: e } = place.matrix;
     return rampMaterial(size, "at.z", heights.map((height) => height + e[14]), 0.5);
@@ -622,6 +624,16 @@ const overRamp = (value) => `
     vTint = stops[0];
     for (int stop = 0; stop < 4; stop++) vTint = mix(vTint, stops[stop + 1], clamp(share - float(stop), 0.0, 1.0));
     gl_Position = projectionMatrix * viewMatrix * at;
+    gl_PointSize = size;
+  }`;
+
+const OWN_COLOURS = `
+  attribute vec3 color;
+  uniform float size;
+  varying vec3 vTint;
+  void main() {
+    vTint = color;
+    gl_Position = projectionMatrix * modelViewMatrix * vec4(position, 1.0);
     gl_PointSize = size;
   }`;
 

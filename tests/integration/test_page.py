@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from revisit import Client
+from revisit import Client, PointCloud
 from revisit.api.scopes import Scope
 from revisit.core.errors import MalformedBody
 from revisit.formats.glb import encode_scene
@@ -580,27 +580,41 @@ def test_colours_tell_what_is_asked_and_the_legend_its_range(page):
     assert page.tab.evaluate("[...revisitPage.view().dots.geometry.attributes.tint.array].join()") == by_session
 
 
-def test_points_are_coloured_by_their_intensity_and_grey_where_none_was_sent(chromium, service):
+def test_points_are_coloured_by_their_columns_and_grey_where_none_was_sent(chromium, service):
     with Client(service.http) as client:
         session = client.create_session(client.create_map("shiny"), "friday")
         for number, submap in enumerate(("plain", "shiny")):
             points = cloud_points(40 * number)[:, :3]
-            sent_too = points if submap == "plain" else np.column_stack([points, np.arange(len(points)) % 100])
+            order = np.arange(len(points))
+            blue = np.column_stack([0 * order, 0 * order, 0 * order + 255])
+            sent = PointCloud(points, {"intensity": order % 100, "ring": order % 16, "rgb": blue, "time": order * 1000})
+            sent_too = points if submap == "plain" else sent
             client.wait(client.post_submap(session, submap, sent_too, pose(40.0 * number), number + 1))
     shown = Page(chromium, service.http, "/#maps/shiny")
     shown.drawn()
-    shown.tab.select_option("#colour-by", "intensity")
-    shown.tab.wait_for_function("revisitPage.view().surfaces.children.length === 2")
-    assert shown.tab.locator("#legend").inner_text().split() == ["weak", "strong"]
-    drawn = shown.tab.evaluate(
-        "Object.fromEntries(revisitPage.view().surfaces.children.map(({ name, geometry, material }) =>"
-        " [name.split('/').pop(), { ramp: 'stops' in material.uniforms, range: geometry.userData.intensities,"
-        " kept: [...(geometry.getAttribute('intensity')?.array ?? [])] }]))"
-    )
-    assert (drawn["plain"]["ramp"], drawn["plain"].get("range"), drawn["plain"]["kept"]) == (False, None, [])
-    assert drawn["shiny"]["ramp"] and drawn["shiny"]["range"] == pytest.approx([1, 97], abs=1e-3)
-    kept = np.round(drawn["shiny"]["kept"]).astype(int)  # to the steps of clouds on the wire
-    assert set(kept) <= set(range(100)) and len(set(kept)) > 95
+    for kind, attribute, legend in (
+        ("intensity", "intensity", ["weak", "strong"]), ("ring", "ring", ["first", "last"]), ("colour", "color", []),
+    ):  # fmt: skip
+        shown.tab.select_option("#colour-by", kind)
+        shown.tab.wait_for_function("revisitPage.view().surfaces.children.length === 2")
+        assert shown.tab.locator("#legend").inner_text().split() == legend
+        drawn = shown.tab.evaluate(
+            "(name) => Object.fromEntries(revisitPage.view().surfaces.children.map("
+            "({ name: of, geometry, material }) => [of.split('/').pop(),"
+            " { own: !('below' in material.uniforms), range: geometry.userData.ranges[name],"
+            " kept: [...(geometry.getAttribute(name)?.array ?? [])] }]))",
+            attribute,
+        )
+        assert (drawn["plain"]["own"], drawn["plain"].get("range"), drawn["plain"]["kept"]) == (False, None, [])
+        assert drawn["shiny"]["own"]
+        kept = np.round(drawn["shiny"]["kept"]).astype(int)  # to the steps of clouds on the wire
+        if kind == "intensity":
+            assert drawn["shiny"]["range"] == pytest.approx([1, 97], abs=1e-3)
+            assert set(kept) <= set(range(100)) and len(set(kept)) > 95
+        elif kind == "ring":
+            assert set(kept) == set(range(16))
+        else:
+            assert (kept.reshape(-1, 3) == [0, 0, 1]).all()
     assert shown.complaints == []
     shown.tab.close()
 
