@@ -45,8 +45,9 @@ class Support:
 
     anchors: submaps of the query's drive whose accepted loops agree; agreeing: all loops that do; along_m: metres of
     both drives that they cover; ruled_out: the other poses T_match_query (4, 4) that had fitted as well. No claims
-    single it out, but: on_earth, the places on earth of both drives (docs/decisions/0362); own_odometry, that of the
-    one drive of both submaps, over `along_m` of way (docs/decisions/0364).
+    single it out, but: on_earth, the places on earth of both drives (docs/decisions/0362); tags, fiducials that both
+    passed (docs/decisions/0369); own_odometry, that of the one drive of both submaps, over `along_m` of way
+    (docs/decisions/0364).
     """
 
     anchors: int
@@ -55,6 +56,7 @@ class Support:
     ruled_out: tuple[Matrix4, ...]
     on_earth: bool = False
     own_odometry: bool = False
+    tags: tuple[str, ...] = ()
 
     @property
     def is_help(self) -> bool:
@@ -62,14 +64,23 @@ class Support:
         return not self.own_odometry
 
     @property
+    def by_anchors(self) -> bool:
+        """Whether anchors chose the pose: places on earth, or tags."""
+        return self.on_earth or bool(self.tags)
+
+    @property
+    def _anchors(self) -> str:
+        if not self.tags:
+            return "anchors beside both submaps"
+        return f"tags {', '.join(self.tags)}, seen beside both submaps,"
+
+    @property
     def words(self) -> str:
         """The support as a sentence."""
-        if self.on_earth and not self.ruled_out:
-            return "loops beside it had doubted it; anchors beside both submaps agree with its pose"
-        if self.on_earth:
-            return (
-                f"{len(self.ruled_out)} other poses fit as well; anchors beside both submaps agree with this one alone"
-            )
+        if self.by_anchors and not self.ruled_out:
+            return f"loops beside it had doubted it; {self._anchors} agree with its pose"
+        if self.by_anchors:
+            return f"{len(self.ruled_out)} other poses fit as well; {self._anchors} agree with this one alone"
         if self.own_odometry:
             return (
                 f"{len(self.ruled_out)} other poses fit as well; odometry since then, over at least "

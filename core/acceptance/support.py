@@ -45,7 +45,7 @@ def without_lost_support(
         for n, claim in enumerate(chosen):
             if not claim.decided_by_others or claim.by_hand or not between.agrees_with_any(n, gone):
                 continue
-            if claim.support is not None and claim.support.on_earth:
+            if claim.support is not None and claim.support.by_anchors:
                 continue
             poses = (claim.hypotheses[0], *_ruled_out(claim))
             support = find_support(poses, between.neighbours(n), config)

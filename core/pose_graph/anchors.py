@@ -48,6 +48,16 @@ class AnchorReason(StrEnum):
     """The anchors lie too near each other, or on too short a way, to tell the heading of the map."""
     MOSTLY_DISAGREE = "MOSTLY_DISAGREE"
     """Most of the anchors contradict each other or the drive."""
+    MISREAD = "MISREAD"
+    """A tag: the same pass has read another id at its spot far more often."""
+    MOVED = "MOVED"
+    """A tag: most passes, or the only other one, see it elsewhere."""
+    TWO_PLACES = "TWO_PLACES"
+    """A tag: one drive has seen its id at two places."""
+    SEEN_ONCE = "SEEN_ONCE"
+    """A tag: no other pass has seen it."""
+    NOT_JOINED = "NOT_JOINED"
+    """A tag: passes in other frames of the map alone have seen it; no loop joins them."""
 
 
 @dataclass(frozen=True)

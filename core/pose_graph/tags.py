@@ -1,0 +1,266 @@
+"""Fiducials of unknown place: tags that a drive saw, where its odometry has them, and which of them count.
+
+Nobody has surveyed a tag. Two passes that see the same one are at the same place; but ids are misread, tags are moved
+between drives, and one id hangs at two places (docs/decisions/0369).
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_left, bisect_right
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from revisit.core.geometry.path import travelled_m
+from revisit.core.pose_graph.anchors import AnchorReason, AnchorState, JudgedAnchor
+from revisit.core.pose_graph.graph import Node
+
+Array64 = NDArray[np.float64]
+
+PASS_M = 30.0
+"""Sightings of a tag along so much of a drive, at one spot, are one pass: they err together."""
+
+SPOT_M, SPOT_SHARE, SIGMAS = 0.3, 0.02, 3.0
+"""Sightings lie at one spot where they are so far apart at most, and by such a share of the way between them, and by so
+many standard deviations.
+"""
+
+MISREAD_M, MISREAD_RATIO = 0.3, 3
+"""A tag is misread where another one was seen at its spot, as near as this, so many times as often on the same pass; or
+where the drive saw its id elsewhere as much more often.
+"""
+
+TWO_PLACES_M = 2.0
+"""A drive that sees a tag so far from where it saw it before, farther than it drifts, sees another one of its id."""
+
+SAME_PLACE_M = 1.0
+"""Passes have a tag at one place of the map where they have it so near to each other, and by their deviations."""
+
+
+@dataclass(frozen=True)
+class TagSighting:
+    """The place point_submap (3,) of the tag of an id, as submap `node` saw it; sigma_m, of each axis."""
+
+    name: str
+    node: Node
+    tag: str
+    point_submap: Array64
+    sigma_m: float
+
+
+@dataclass(frozen=True)
+class TagPass:
+    """Sightings, by row, of one tag on one pass: the mean of their points (3,) in the odometry frame; where along the
+    drive, metres; sigma_m of one of them, or what they differ by where that is more.
+    """
+
+    tag: str
+    rows: tuple[int, ...]
+    along_m: float
+    point_odom: Array64
+    sigma_m: float
+
+
+class TaggedDrive:
+    """A drive with the tags that it saw. T_odom_submap (n, 4, 4), along_m (n,): its submaps; sightings unordered."""
+
+    def __init__(self, T_odom_submap: Array64, sightings: Sequence[TagSighting]) -> None:
+        """`sightings` are all of this drive."""
+        self.T_odom_submap = T_odom_submap
+        self.along_m = travelled_m(T_odom_submap[:, :3, 3])
+        self.sightings = tuple(sightings)
+        ordinals = np.array([one.node.ordinal for one in sightings], dtype=np.int64)
+        points = np.array([one.point_submap for one in sightings])
+        T = T_odom_submap[ordinals]
+        self.points_odom = np.einsum("nij,nj->ni", T[:, :3, :3], points) + T[:, :3, 3]
+        self._along_m = self.along_m[ordinals]
+
+    @cached_property
+    def passes(self) -> tuple[TagPass, ...]:
+        """The passes that count, in the order of the drive: without misread ones."""
+        return tuple(one for one, misread in zip(self._all, self._misread, strict=True) if not misread)
+
+    @cached_property
+    def misread(self) -> frozenset[int]:
+        """The sightings, by row, whose id is another one's."""
+        return frozenset(
+            row for one, misread in zip(self._all, self._misread, strict=True) if misread for row in one.rows
+        )
+
+    @cached_property
+    def doubled(self) -> frozenset[str]:
+        """The tags that hang at two places of this drive."""
+        return frozenset(
+            tag
+            for tag, its in _by_tag(self.passes).items()
+            if any(_are_two(one, other) for one, other in combinations(its, 2))
+        )
+
+    def beside(self, along_m: float, reach_m: float) -> list[TagPass]:
+        """The passes within reach of a place of the drive, the nearest first."""
+        first = bisect_right(self.passes, along_m - reach_m, key=lambda one: one.along_m)
+        last = bisect_left(self.passes, along_m + reach_m, key=lambda one: one.along_m)
+        return sorted(self.passes[first:last], key=lambda one: abs(one.along_m - along_m))
+
+    @cached_property
+    def _all(self) -> tuple[TagPass, ...]:
+        groups: list[list[int]] = []
+        latest: dict[str, list[list[int]]] = {}
+        for row in np.argsort(self._along_m, kind="stable").tolist():
+            its = latest.setdefault(self.sightings[row].tag, [])
+            own = next((group for group in its if self._is_of_pass(row, group)), None)
+            if own is None:
+                own = []
+                its.append(own)
+                groups.append(own)
+            own.append(row)
+        return tuple(sorted(map(self._pass, groups), key=lambda one: (one.along_m, one.tag)))
+
+    def _is_of_pass(self, row: int, group: Sequence[int]) -> bool:
+        way_m = self._along_m[row] - self._along_m[group[-1]]
+        off_m = np.linalg.norm(self.points_odom[row] - self.points_odom[group[0]])
+        return bool(
+            way_m <= PASS_M and off_m <= SPOT_M + SPOT_SHARE * way_m + SIGMAS * 2.0 * self.sightings[row].sigma_m
+        )
+
+    def _pass(self, rows: Sequence[int]) -> TagPass:
+        points = self.points_odom[list(rows)]
+        middle = points.mean(axis=0)
+        spread_m = np.sqrt(((points - middle) ** 2).sum(axis=1).mean() / 3.0)
+        stated_m = np.median([self.sightings[row].sigma_m for row in rows])
+        return TagPass(
+            self.sightings[rows[0]].tag,
+            tuple(rows),
+            float(self._along_m[list(rows)].mean()),
+            middle,
+            float(max(spread_m, stated_m)),
+        )
+
+    @cached_property
+    def _misread(self) -> list[bool]:
+        """Whether each pass read a false id: the drive saw it elsewhere, or another tag there, far more often."""
+        by_tag, found = _by_tag(self._all), []
+        for one in self._all:
+            first = bisect_left(self._all, one.along_m - PASS_M, key=lambda its: its.along_m)
+            last = bisect_right(self._all, one.along_m + PASS_M, key=lambda its: its.along_m)
+            elsewhere = (_outnumbers(other, one) and _are_two(one, other) for other in by_tag[one.tag])
+            there = (_outnumbers(other, one) and _is_there(one, other) for other in self._all[first:last])
+            found.append(any(elsewhere) or any(there))
+        return found
+
+
+def _by_tag(passes: Iterable[TagPass]) -> dict[str, list[TagPass]]:
+    found: dict[str, list[TagPass]] = {}
+    for one in passes:
+        found.setdefault(one.tag, []).append(one)
+    return found
+
+
+def _outnumbers(one: TagPass, other: TagPass) -> bool:
+    return len(one.rows) >= MISREAD_RATIO * len(other.rows)
+
+
+def _is_there(one: TagPass, other: TagPass) -> bool:
+    """Whether two passes saw one spot, under two ids."""
+    within_m = MISREAD_M + SIGMAS * float(np.hypot(one.sigma_m, other.sigma_m))
+    return bool(one.tag != other.tag and np.linalg.norm(one.point_odom - other.point_odom) <= within_m)
+
+
+def _are_two(one: TagPass, other: TagPass) -> bool:
+    """Whether two passes of a drive saw two tags of one id, however it has drifted in between."""
+    may_m = TWO_PLACES_M + SPOT_SHARE * abs(one.along_m - other.along_m) + SIGMAS * (one.sigma_m + other.sigma_m)
+    return bool(one.tag == other.tag and np.linalg.norm(one.point_odom - other.point_odom) > may_m)
+
+
+def tagged_drives(T_odom_submap: Mapping[str, Array64], sightings: Iterable[TagSighting]) -> dict[str, TaggedDrive]:
+    """The sessions that saw tags, by name. T_odom_submap (n, 4, 4): the drive of each session."""
+    of_session: dict[str, list[TagSighting]] = {}
+    for one in sightings:
+        of_session.setdefault(one.node.session, []).append(one)
+    return {name: TaggedDrive(T_odom_submap[name], its) for name, its in of_session.items()}
+
+
+def doubled_tags(drives: Iterable[TaggedDrive]) -> frozenset[str]:
+    """The tags that hang at two places, as any drive has seen: they tell nothing of any."""
+    return frozenset[str]().union(*(one.doubled for one in drives))
+
+
+@dataclass(frozen=True)
+class _Seen:
+    """A pass in a frame of the map, at place (3,) of it."""
+
+    drive: str
+    its: TagPass
+    frame: int
+    place: Array64
+
+
+def judged_sightings(
+    T_odom_submap: Mapping[str, Array64],
+    T_map_submap: Mapping[str, Array64],
+    components: Sequence[Collection[str]],
+    sightings: Sequence[TagSighting],
+) -> list[JudgedAnchor]:
+    """The verdict on each sighting, in their order, by where the map has its tag: T_map_submap (n, 4, 4) of each
+    session in the frame of its component.
+
+    IN_MAP: another pass has the tag there, too. A tag that no two passes have at one place has been moved, or read for
+    another.
+    """
+    drives = tagged_drives(T_odom_submap, sightings)
+    doubled = doubled_tags(drives.values())
+    frame_of = {name: n for n, group in enumerate(components) for name in group}
+    found: dict[str, JudgedAnchor] = {}
+    seen: dict[str, list[_Seen]] = {}
+    for name, drive in drives.items():
+        found |= {drive.sightings[row].name: _verdict(AnchorReason.MISREAD) for row in drive.misread}
+        for one in drive.passes:
+            place = _place_map(drive, one, T_map_submap[name])
+            seen.setdefault(one.tag, []).append(_Seen(name, one, frame_of[name], place))
+    for tag, passes in seen.items():
+        for own, verdict in zip(passes, _of_tag(passes, tag in doubled), strict=True):
+            found |= {drives[own.drive].sightings[row].name: verdict for row in own.its.rows}
+    return [found[one.name] for one in sightings]
+
+
+def _place_map(drive: TaggedDrive, one: TagPass, T_map_submap: Array64) -> Array64:
+    """The place (3,) of a tag in the frame of the map: as each of its submaps saw it."""
+    ordinals = [drive.sightings[row].node.ordinal for row in one.rows]
+    points = np.array([drive.sightings[row].point_submap for row in one.rows])
+    T = T_map_submap[ordinals]
+    return np.asarray((np.einsum("nij,nj->ni", T[:, :3, :3], points) + T[:, :3, 3]).mean(axis=0))
+
+
+def _of_tag(passes: Sequence[_Seen], doubled: bool) -> list[JudgedAnchor]:
+    """The verdicts on all passes of a tag."""
+    places, sigmas = np.array([one.place for one in passes]), np.array([one.its.sigma_m for one in passes])
+    frames = np.array([one.frame for one in passes])
+    together = (frames[:, None] == frames) & ~np.eye(len(passes), dtype=bool)
+    may_m = SAME_PLACE_M + SIGMAS * np.hypot(sigmas[:, None], sigmas)
+    beside = together & (np.linalg.norm(places[:, None] - places, axis=2) <= may_m)
+    count = beside.sum(axis=1)
+    verdicts = []
+    for n in range(len(passes)):
+        if not together[n].any():
+            verdicts.append(_verdict(AnchorReason.NOT_JOINED if len(passes) > 1 else AnchorReason.SEEN_ONCE))
+            continue
+        residual_m = np.median(places[beside[n] if count[n] else together[n]], axis=0) - places[n]
+        squared = float(residual_m @ residual_m / (sigmas[n] ** 2 + (SAME_PLACE_M / SIGMAS) ** 2))
+        reason = AnchorReason.TWO_PLACES if doubled else AnchorReason.MOVED
+        if not doubled and count[n] and count[n] >= count[frames == frames[n]].max():
+            verdicts.append(JudgedAnchor(AnchorState.IN_MAP, None, residual_m, squared))
+        else:
+            verdicts.append(_verdict(reason, residual_m, squared))
+    return verdicts
+
+
+_NO_EFFECT = frozenset({AnchorReason.SEEN_ONCE, AnchorReason.NOT_JOINED})
+
+
+def _verdict(reason: AnchorReason, residual_m: Array64 | None = None, squared_distance: float = np.nan) -> JudgedAnchor:
+    state = AnchorState.NOT_ALIGNED if reason in _NO_EFFECT else AnchorState.SET_ASIDE
+    return JudgedAnchor(state, reason, np.full(3, np.nan) if residual_m is None else residual_m, squared_distance)
