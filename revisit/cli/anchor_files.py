@@ -27,7 +27,7 @@ SIGMAS = ("sigma_east_m", "sigma_north_m", "sigma_up_m")
 OFFSET = ("offset_x_m", "offset_y_m", "offset_z_m")
 POSE = ("x", "y", "z", "qx", "qy", "qz", "qw")
 HEADING = ("heading_rad", "heading_sigma_rad")
-COLUMNS = ("anchor_id", "kind", "time", *EARTH, *LOCAL, *SIGMAS, *OFFSET, *POSE, *HEADING)
+COLUMNS = ("anchor_id", "kind", "time", *EARTH, *LOCAL, *SIGMAS, *OFFSET, *POSE, *HEADING, "tag")
 """Of a table. Those of a group are there together or not at all; `time` is a date with a time, or nanoseconds."""
 
 
@@ -100,6 +100,7 @@ def _of_row(row: Mapping[str | None, Any]) -> NewAnchor:
         T_odom_sensor=None if pose is None else se3.from_quaternion(pose[3:], pose[:3]),
         heading_rad=None if heading is None else heading[0],
         heading_sigma_rad=None if heading is None else heading[1],
+        tag=told.get("tag"),
     )
 
 

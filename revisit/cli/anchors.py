@@ -1,4 +1,4 @@
-"""`revisit anchors`: places that the world outside knows, which put a map on earth."""
+"""`revisit anchors`: places that the world outside knows, which put a map on earth, and tags that robots saw."""
 
 from __future__ import annotations
 
@@ -18,7 +18,9 @@ from revisit.cli.waiting import waited
 if TYPE_CHECKING:
     from revisit.sdk.resources import Anchor
 
-group = typer.Typer(help="Put a map on earth: places of the robot that the world outside knows.", no_args_is_help=True)
+group = typer.Typer(
+    help="Put a map on earth: places that the world outside knows; and tags that robots saw.", no_args_is_help=True
+)
 
 SessionName = Annotated[str, typer.Option("--session", help="Id of the session that they belong to.")]
 File = Annotated[
@@ -157,4 +159,4 @@ def _row(told: dict[str, Any]) -> tuple[Any, ...]:
 
 
 def _listed(one: Anchor) -> tuple[Any, ...]:
-    return one.kind, *_row(vars(one))
+    return one.kind if one.tag is None else f"{one.kind} {one.tag}", *_row(vars(one))

@@ -1,4 +1,4 @@
-"""Anchors as a client makes them: places on earth, or in metres from the origin of a map."""
+"""Anchors as a client makes them: places on earth, or in metres from the origin of a map, and tags of unknown place."""
 
 from __future__ import annotations
 
@@ -31,8 +31,10 @@ class NewAnchor:
     One of both: `geodetic`, latitude and longitude in degrees and altitude above the ellipsoid in metres (WGS 84), or
     `local_m`, metres east, north and above the origin of the map. covariance_enu (3, 3), m^2, or three standard
     deviations, metres. `offset_m` is the point in the frame of the sensor. T_odom_sensor (4, 4) may be left out where
-    the scans before and after are stored. kind: GNSS, CONTROL_POINT or KNOWN_POSE; the last one needs `heading_rad` of
-    the sensor's x axis, counter-clockwise from east, and its standard deviation.
+    the scans before and after are stored. kind: GNSS, CONTROL_POINT, KNOWN_POSE or FIDUCIAL. A KNOWN_POSE needs
+    `heading_rad` of the sensor's x axis, counter-clockwise from east, and its standard deviation. A FIDUCIAL is a tag
+    of unknown place, seen at `offset_m`: it needs its `tag` and has no place; covariance_enu is along the sensor's
+    axes.
     """
 
     anchor_id: str
@@ -45,6 +47,7 @@ class NewAnchor:
     T_odom_sensor: Any = None
     heading_rad: float | None = None
     heading_sigma_rad: float | None = None
+    tag: str | None = None
 
     @classmethod
     def of_fix(cls, fix: SatelliteFix, T_odom_sensor: se3.Matrix4, antenna_m: tuple[float, float, float]) -> Self:
@@ -78,6 +81,7 @@ class NewAnchor:
             T_odom_sensor=pose_matrix(pose) if pose is not None else None if matrix is None else se3.validated(matrix),
             heading_rad=None if heading is None else float(heading),
             heading_sigma_rad=None if sigma is None else float(sigma),
+            tag=row.get("tag"),
         )
 
     def message(self) -> dict[str, Any]:
@@ -97,6 +101,7 @@ class NewAnchor:
             "t_odom_sensor": pose_message(self.T_odom_sensor, "T_odom_sensor"),
             "heading_rad": self.heading_rad,
             "heading_sigma_rad": self.heading_sigma_rad,
+            "tag": self.tag,
         }
         return {name: value for name, value in fields.items() if value is not None}
 

@@ -42,15 +42,15 @@ class Anchor(Resource):
     name: str = ""
     """maps/{map}/sessions/{session}/anchors/{anchor}"""
     kind: str = ""
-    """GNSS, CONTROL_POINT or KNOWN_POSE."""
+    """GNSS, CONTROL_POINT, KNOWN_POSE or FIDUCIAL."""
     stamp_ns: int = 0
     """When the robot was there: 0 to 9223372036854775807."""
     geodetic: GeodeticPosition | None = None
     """The place on earth, or"""
     local_m: tuple[float, float, float] | None = None
-    """in metres east, north and above the origin of the map."""
+    """in metres east, north and above the origin of the map. A FIDUCIAL has neither."""
     covariance_enu: tuple[float, ...] = ()
-    """3 x 3, row by row, of east, north and up, m^2."""
+    """3 x 3, row by row, of east, north and up, m^2; of a FIDUCIAL, of offset_m along the axes of the sensor."""
     offset_m: tuple[float, float, float]
     """The point in the frame of the sensor, metres."""
     T_odom_sensor: Matrix4 = field(compare=False)
@@ -62,10 +62,16 @@ class Anchor(Resource):
     state: str | None = None
     """IN_MAP, SET_ASIDE or NOT_ALIGNED."""
     reason: str | None = None
-    """DISAGREES; or why nothing is aligned: TOO_FEW, NOT_SPREAD, MOSTLY_DISAGREE. Empty where it holds the map."""
+    """DISAGREES; or why nothing is aligned: TOO_FEW, NOT_SPREAD, MOSTLY_DISAGREE. Of a FIDUCIAL: MISREAD, MOVED,
+    TWO_PLACES, SEEN_ONCE, NOT_JOINED. Empty where it holds the map.
+    """
     residual_m: tuple[float, float, float] | None = None
-    """The place less where the map has the point; absent where nothing is aligned."""
+    """The place less where the map has the point; absent where nothing is aligned. Of a FIDUCIAL: where other passes
+    have the tag, less where this one has it, along the axes of the frame of the map.
+    """
     created_at_ns: int = 0
+    tag: str | None = None
+    """The family and the id of the tag of a FIDUCIAL, as tag36h11:17."""
 
 
 @dataclass(frozen=True, kw_only=True)

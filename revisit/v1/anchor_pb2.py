@@ -26,7 +26,7 @@ from revisit.v1 import geometry_pb2 as revisit_dot_v1_dot_geometry__pb2
 from revisit.v1 import operation_pb2 as revisit_dot_v1_dot_operation__pb2
 
 
-DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n\x17revisit/v1/anchor.proto\x12\nrevisit.v1\x1a\x19revisit/v1/geometry.proto\x1a\x1arevisit/v1/operation.proto\"S\n\x10GeodeticPosition\x12\x14\n\x0clatitude_deg\x18\x01 \x01(\x01\x12\x15\n\rlongitude_deg\x18\x02 \x01(\x01\x12\x12\n\naltitude_m\x18\x03 \x01(\x01\"\x82\x05\n\x06\x41nchor\x12\x0c\n\x04name\x18\x01 \x01(\t\x12%\n\x04kind\x18\x02 \x01(\x0e\x32\x17.revisit.v1.Anchor.Kind\x12\x10\n\x08stamp_ns\x18\x03 \x01(\x03\x12.\n\x08geodetic\x18\x04 \x01(\x0b\x32\x1c.revisit.v1.GeodeticPosition\x12$\n\x07local_m\x18\x05 \x01(\x0b\x32\x13.revisit.v1.Vector3\x12\x16\n\x0e\x63ovariance_enu\x18\x06 \x03(\x01\x12%\n\x08offset_m\x18\x07 \x01(\x0b\x32\x13.revisit.v1.Vector3\x12,\n\rt_odom_sensor\x18\x08 \x01(\x0b\x32\x15.revisit.v1.Transform\x12\x18\n\x0bheading_rad\x18\t \x01(\x01H\x00\x88\x01\x01\x12\x1e\n\x11heading_sigma_rad\x18\n \x01(\x01H\x01\x88\x01\x01\x12\'\n\x05state\x18\x0b \x01(\x0e\x32\x18.revisit.v1.Anchor.State\x12\x0e\n\x06reason\x18\x0c \x01(\t\x12\'\n\nresidual_m\x18\r \x01(\x0b\x32\x13.revisit.v1.Vector3\x12\x15\n\rcreated_at_ns\x18\x0e \x01(\x03\"I\n\x04Kind\x12\x14\n\x10KIND_UNSPECIFIED\x10\x00\x12\x08\n\x04GNSS\x10\x01\x12\x11\n\rCONTROL_POINT\x10\x02\x12\x0e\n\nKNOWN_POSE\x10\x03\"J\n\x05State\x12\x15\n\x11STATE_UNSPECIFIED\x10\x00\x12\n\n\x06IN_MAP\x10\x01\x12\r\n\tSET_ASIDE\x10\x02\x12\x0f\n\x0bNOT_ALIGNED\x10\x03\x42\x0e\n\x0c_heading_radB\x14\n\x12_heading_sigma_rad\"\xfa\x02\n\tNewAnchor\x12\x11\n\tanchor_id\x18\x01 \x01(\t\x12%\n\x04kind\x18\x02 \x01(\x0e\x32\x17.revisit.v1.Anchor.Kind\x12\x10\n\x08stamp_ns\x18\x03 \x01(\x03\x12.\n\x08geodetic\x18\x04 \x01(\x0b\x32\x1c.revisit.v1.GeodeticPosition\x12$\n\x07local_m\x18\x05 \x01(\x0b\x32\x13.revisit.v1.Vector3\x12\x16\n\x0e\x63ovariance_enu\x18\x06 \x03(\x01\x12%\n\x08offset_m\x18\x07 \x01(\x0b\x32\x13.revisit.v1.Vector3\x12,\n\rt_odom_sensor\x18\x08 \x01(\x0b\x32\x15.revisit.v1.Transform\x12\x18\n\x0bheading_rad\x18\t \x01(\x01H\x00\x88\x01\x01\x12\x1e\n\x11heading_sigma_rad\x18\n \x01(\x01H\x01\x88\x01\x01\x42\x0e\n\x0c_heading_radB\x14\n\x12_heading_sigma_rad\"\xc3\x01\n\x0cGeoreference\x12\r\n\x05\x66rame\x18\x01 \x01(\t\x12(\n\tt_enu_map\x18\x02 \x01(\x0b\x32\x15.revisit.v1.Transform\x12\x12\n\ncovariance\x18\x03 \x03(\x01\x12\x0f\n\x07\x61nchors\x18\x04 \x01(\r\x12\x12\n\nof_anchors\x18\x05 \x01(\r\x12\x12\n\nresidual_m\x18\x06 \x01(\x01\x12-\n\x08sessions\x18\x07 \x03(\x0b\x32\x1b.revisit.v1.AnchoredSession\"\x97\x01\n\x0f\x41nchoredSession\x12\x0f\n\x07session\x18\x01 \x01(\t\x12\x0f\n\x07\x61nchors\x18\x02 \x01(\r\x12\x12\n\nof_anchors\x18\x03 \x01(\r\x12%\n\x08offset_m\x18\x04 \x01(\x0b\x32\x13.revisit.v1.Vector3\x12\x14\n\x0csigma_factor\x18\x05 \x01(\x01\x12\x11\n\telsewhere\x18\x06 \x01(\x08\"L\n\x12PostAnchorsRequest\x12\x0e\n\x06parent\x18\x01 \x01(\t\x12&\n\x07\x61nchors\x18\x02 \x03(\x0b\x32\x15.revisit.v1.NewAnchor\":\n\x13PostAnchorsResponse\x12#\n\x07\x61nchors\x18\x01 \x03(\x0b\x32\x12.revisit.v1.Anchor\"O\n\x15PreviewAnchorsRequest\x12\x0e\n\x06parent\x18\x01 \x01(\t\x12&\n\x07\x61nchors\x18\x02 \x03(\x0b\x32\x15.revisit.v1.NewAnchor\"R\n\x16PreviewAnchorsResponse\x12(\n\toperation\x18\x01 \x01(\x0b\x32\x15.revisit.v1.Operation\x12\x0e\n\x06replay\x18\x02 \x01(\x08\"K\n\x12ListAnchorsRequest\x12\x0e\n\x06parent\x18\x01 \x01(\t\x12\x11\n\tpage_size\x18\x02 \x01(\x05\x12\x12\n\npage_token\x18\x03 \x01(\t\"S\n\x13ListAnchorsResponse\x12#\n\x07\x61nchors\x18\x01 \x03(\x0b\x32\x12.revisit.v1.Anchor\x12\x17\n\x0fnext_page_token\x18\x02 \x01(\t\"#\n\x13\x44\x65leteAnchorRequest\x12\x0c\n\x04name\x18\x01 \x01(\t\"\x16\n\x14\x44\x65leteAnchorResponse2\xdb\x02\n\rAnchorService\x12N\n\x0bPostAnchors\x12\x1e.revisit.v1.PostAnchorsRequest\x1a\x1f.revisit.v1.PostAnchorsResponse\x12W\n\x0ePreviewAnchors\x12!.revisit.v1.PreviewAnchorsRequest\x1a\".revisit.v1.PreviewAnchorsResponse\x12N\n\x0bListAnchors\x12\x1e.revisit.v1.ListAnchorsRequest\x1a\x1f.revisit.v1.ListAnchorsResponse\x12Q\n\x0c\x44\x65leteAnchor\x12\x1f.revisit.v1.DeleteAnchorRequest\x1a .revisit.v1.DeleteAnchorResponseb\x06proto3')
+DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n\x17revisit/v1/anchor.proto\x12\nrevisit.v1\x1a\x19revisit/v1/geometry.proto\x1a\x1arevisit/v1/operation.proto\"S\n\x10GeodeticPosition\x12\x14\n\x0clatitude_deg\x18\x01 \x01(\x01\x12\x15\n\rlongitude_deg\x18\x02 \x01(\x01\x12\x12\n\naltitude_m\x18\x03 \x01(\x01\"\xaa\x05\n\x06\x41nchor\x12\x0c\n\x04name\x18\x01 \x01(\t\x12%\n\x04kind\x18\x02 \x01(\x0e\x32\x17.revisit.v1.Anchor.Kind\x12\x10\n\x08stamp_ns\x18\x03 \x01(\x03\x12.\n\x08geodetic\x18\x04 \x01(\x0b\x32\x1c.revisit.v1.GeodeticPosition\x12$\n\x07local_m\x18\x05 \x01(\x0b\x32\x13.revisit.v1.Vector3\x12\x16\n\x0e\x63ovariance_enu\x18\x06 \x03(\x01\x12%\n\x08offset_m\x18\x07 \x01(\x0b\x32\x13.revisit.v1.Vector3\x12,\n\rt_odom_sensor\x18\x08 \x01(\x0b\x32\x15.revisit.v1.Transform\x12\x18\n\x0bheading_rad\x18\t \x01(\x01H\x00\x88\x01\x01\x12\x1e\n\x11heading_sigma_rad\x18\n \x01(\x01H\x01\x88\x01\x01\x12\'\n\x05state\x18\x0b \x01(\x0e\x32\x18.revisit.v1.Anchor.State\x12\x0e\n\x06reason\x18\x0c \x01(\t\x12\'\n\nresidual_m\x18\r \x01(\x0b\x32\x13.revisit.v1.Vector3\x12\x15\n\rcreated_at_ns\x18\x0e \x01(\x03\x12\x10\n\x03tag\x18\x0f \x01(\tH\x02\x88\x01\x01\"W\n\x04Kind\x12\x14\n\x10KIND_UNSPECIFIED\x10\x00\x12\x08\n\x04GNSS\x10\x01\x12\x11\n\rCONTROL_POINT\x10\x02\x12\x0e\n\nKNOWN_POSE\x10\x03\x12\x0c\n\x08\x46IDUCIAL\x10\x04\"J\n\x05State\x12\x15\n\x11STATE_UNSPECIFIED\x10\x00\x12\n\n\x06IN_MAP\x10\x01\x12\r\n\tSET_ASIDE\x10\x02\x12\x0f\n\x0bNOT_ALIGNED\x10\x03\x42\x0e\n\x0c_heading_radB\x14\n\x12_heading_sigma_radB\x06\n\x04_tag\"\x94\x03\n\tNewAnchor\x12\x11\n\tanchor_id\x18\x01 \x01(\t\x12%\n\x04kind\x18\x02 \x01(\x0e\x32\x17.revisit.v1.Anchor.Kind\x12\x10\n\x08stamp_ns\x18\x03 \x01(\x03\x12.\n\x08geodetic\x18\x04 \x01(\x0b\x32\x1c.revisit.v1.GeodeticPosition\x12$\n\x07local_m\x18\x05 \x01(\x0b\x32\x13.revisit.v1.Vector3\x12\x16\n\x0e\x63ovariance_enu\x18\x06 \x03(\x01\x12%\n\x08offset_m\x18\x07 \x01(\x0b\x32\x13.revisit.v1.Vector3\x12,\n\rt_odom_sensor\x18\x08 \x01(\x0b\x32\x15.revisit.v1.Transform\x12\x18\n\x0bheading_rad\x18\t \x01(\x01H\x00\x88\x01\x01\x12\x1e\n\x11heading_sigma_rad\x18\n \x01(\x01H\x01\x88\x01\x01\x12\x10\n\x03tag\x18\x0b \x01(\tH\x02\x88\x01\x01\x42\x0e\n\x0c_heading_radB\x14\n\x12_heading_sigma_radB\x06\n\x04_tag\"\xc3\x01\n\x0cGeoreference\x12\r\n\x05\x66rame\x18\x01 \x01(\t\x12(\n\tt_enu_map\x18\x02 \x01(\x0b\x32\x15.revisit.v1.Transform\x12\x12\n\ncovariance\x18\x03 \x03(\x01\x12\x0f\n\x07\x61nchors\x18\x04 \x01(\r\x12\x12\n\nof_anchors\x18\x05 \x01(\r\x12\x12\n\nresidual_m\x18\x06 \x01(\x01\x12-\n\x08sessions\x18\x07 \x03(\x0b\x32\x1b.revisit.v1.AnchoredSession\"\x97\x01\n\x0f\x41nchoredSession\x12\x0f\n\x07session\x18\x01 \x01(\t\x12\x0f\n\x07\x61nchors\x18\x02 \x01(\r\x12\x12\n\nof_anchors\x18\x03 \x01(\r\x12%\n\x08offset_m\x18\x04 \x01(\x0b\x32\x13.revisit.v1.Vector3\x12\x14\n\x0csigma_factor\x18\x05 \x01(\x01\x12\x11\n\telsewhere\x18\x06 \x01(\x08\"L\n\x12PostAnchorsRequest\x12\x0e\n\x06parent\x18\x01 \x01(\t\x12&\n\x07\x61nchors\x18\x02 \x03(\x0b\x32\x15.revisit.v1.NewAnchor\":\n\x13PostAnchorsResponse\x12#\n\x07\x61nchors\x18\x01 \x03(\x0b\x32\x12.revisit.v1.Anchor\"O\n\x15PreviewAnchorsRequest\x12\x0e\n\x06parent\x18\x01 \x01(\t\x12&\n\x07\x61nchors\x18\x02 \x03(\x0b\x32\x15.revisit.v1.NewAnchor\"R\n\x16PreviewAnchorsResponse\x12(\n\toperation\x18\x01 \x01(\x0b\x32\x15.revisit.v1.Operation\x12\x0e\n\x06replay\x18\x02 \x01(\x08\"K\n\x12ListAnchorsRequest\x12\x0e\n\x06parent\x18\x01 \x01(\t\x12\x11\n\tpage_size\x18\x02 \x01(\x05\x12\x12\n\npage_token\x18\x03 \x01(\t\"S\n\x13ListAnchorsResponse\x12#\n\x07\x61nchors\x18\x01 \x03(\x0b\x32\x12.revisit.v1.Anchor\x12\x17\n\x0fnext_page_token\x18\x02 \x01(\t\"#\n\x13\x44\x65leteAnchorRequest\x12\x0c\n\x04name\x18\x01 \x01(\t\"\x16\n\x14\x44\x65leteAnchorResponse2\xdb\x02\n\rAnchorService\x12N\n\x0bPostAnchors\x12\x1e.revisit.v1.PostAnchorsRequest\x1a\x1f.revisit.v1.PostAnchorsResponse\x12W\n\x0ePreviewAnchors\x12!.revisit.v1.PreviewAnchorsRequest\x1a\".revisit.v1.PreviewAnchorsResponse\x12N\n\x0bListAnchors\x12\x1e.revisit.v1.ListAnchorsRequest\x1a\x1f.revisit.v1.ListAnchorsResponse\x12Q\n\x0c\x44\x65leteAnchor\x12\x1f.revisit.v1.DeleteAnchorRequest\x1a .revisit.v1.DeleteAnchorResponseb\x06proto3')
 
 _globals = globals()
 _builder.BuildMessageAndEnumDescriptors(DESCRIPTOR, _globals)
@@ -36,33 +36,33 @@ if not _descriptor._USE_C_DESCRIPTORS:
   _globals['_GEODETICPOSITION']._serialized_start=94
   _globals['_GEODETICPOSITION']._serialized_end=177
   _globals['_ANCHOR']._serialized_start=180
-  _globals['_ANCHOR']._serialized_end=822
-  _globals['_ANCHOR_KIND']._serialized_start=635
-  _globals['_ANCHOR_KIND']._serialized_end=708
-  _globals['_ANCHOR_STATE']._serialized_start=710
-  _globals['_ANCHOR_STATE']._serialized_end=784
-  _globals['_NEWANCHOR']._serialized_start=825
-  _globals['_NEWANCHOR']._serialized_end=1203
-  _globals['_GEOREFERENCE']._serialized_start=1206
-  _globals['_GEOREFERENCE']._serialized_end=1401
-  _globals['_ANCHOREDSESSION']._serialized_start=1404
-  _globals['_ANCHOREDSESSION']._serialized_end=1555
-  _globals['_POSTANCHORSREQUEST']._serialized_start=1557
-  _globals['_POSTANCHORSREQUEST']._serialized_end=1633
-  _globals['_POSTANCHORSRESPONSE']._serialized_start=1635
-  _globals['_POSTANCHORSRESPONSE']._serialized_end=1693
-  _globals['_PREVIEWANCHORSREQUEST']._serialized_start=1695
-  _globals['_PREVIEWANCHORSREQUEST']._serialized_end=1774
-  _globals['_PREVIEWANCHORSRESPONSE']._serialized_start=1776
-  _globals['_PREVIEWANCHORSRESPONSE']._serialized_end=1858
-  _globals['_LISTANCHORSREQUEST']._serialized_start=1860
-  _globals['_LISTANCHORSREQUEST']._serialized_end=1935
-  _globals['_LISTANCHORSRESPONSE']._serialized_start=1937
-  _globals['_LISTANCHORSRESPONSE']._serialized_end=2020
-  _globals['_DELETEANCHORREQUEST']._serialized_start=2022
-  _globals['_DELETEANCHORREQUEST']._serialized_end=2057
-  _globals['_DELETEANCHORRESPONSE']._serialized_start=2059
-  _globals['_DELETEANCHORRESPONSE']._serialized_end=2081
-  _globals['_ANCHORSERVICE']._serialized_start=2084
-  _globals['_ANCHORSERVICE']._serialized_end=2431
+  _globals['_ANCHOR']._serialized_end=862
+  _globals['_ANCHOR_KIND']._serialized_start=653
+  _globals['_ANCHOR_KIND']._serialized_end=740
+  _globals['_ANCHOR_STATE']._serialized_start=742
+  _globals['_ANCHOR_STATE']._serialized_end=816
+  _globals['_NEWANCHOR']._serialized_start=865
+  _globals['_NEWANCHOR']._serialized_end=1269
+  _globals['_GEOREFERENCE']._serialized_start=1272
+  _globals['_GEOREFERENCE']._serialized_end=1467
+  _globals['_ANCHOREDSESSION']._serialized_start=1470
+  _globals['_ANCHOREDSESSION']._serialized_end=1621
+  _globals['_POSTANCHORSREQUEST']._serialized_start=1623
+  _globals['_POSTANCHORSREQUEST']._serialized_end=1699
+  _globals['_POSTANCHORSRESPONSE']._serialized_start=1701
+  _globals['_POSTANCHORSRESPONSE']._serialized_end=1759
+  _globals['_PREVIEWANCHORSREQUEST']._serialized_start=1761
+  _globals['_PREVIEWANCHORSREQUEST']._serialized_end=1840
+  _globals['_PREVIEWANCHORSRESPONSE']._serialized_start=1842
+  _globals['_PREVIEWANCHORSRESPONSE']._serialized_end=1924
+  _globals['_LISTANCHORSREQUEST']._serialized_start=1926
+  _globals['_LISTANCHORSREQUEST']._serialized_end=2001
+  _globals['_LISTANCHORSRESPONSE']._serialized_start=2003
+  _globals['_LISTANCHORSRESPONSE']._serialized_end=2086
+  _globals['_DELETEANCHORREQUEST']._serialized_start=2088
+  _globals['_DELETEANCHORREQUEST']._serialized_end=2123
+  _globals['_DELETEANCHORRESPONSE']._serialized_start=2125
+  _globals['_DELETEANCHORRESPONSE']._serialized_end=2147
+  _globals['_ANCHORSERVICE']._serialized_start=2150
+  _globals['_ANCHORSERVICE']._serialized_end=2497
 # @@protoc_insertion_point(module_scope)

@@ -20,17 +20,19 @@ class GeodeticPosition(_message.Message):
     def __init__(self, latitude_deg: _Optional[float] = ..., longitude_deg: _Optional[float] = ..., altitude_m: _Optional[float] = ...) -> None: ...
 
 class Anchor(_message.Message):
-    __slots__ = ("name", "kind", "stamp_ns", "geodetic", "local_m", "covariance_enu", "offset_m", "t_odom_sensor", "heading_rad", "heading_sigma_rad", "state", "reason", "residual_m", "created_at_ns")
+    __slots__ = ("name", "kind", "stamp_ns", "geodetic", "local_m", "covariance_enu", "offset_m", "t_odom_sensor", "heading_rad", "heading_sigma_rad", "state", "reason", "residual_m", "created_at_ns", "tag")
     class Kind(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
         __slots__ = ()
         KIND_UNSPECIFIED: _ClassVar[Anchor.Kind]
         GNSS: _ClassVar[Anchor.Kind]
         CONTROL_POINT: _ClassVar[Anchor.Kind]
         KNOWN_POSE: _ClassVar[Anchor.Kind]
+        FIDUCIAL: _ClassVar[Anchor.Kind]
     KIND_UNSPECIFIED: Anchor.Kind
     GNSS: Anchor.Kind
     CONTROL_POINT: Anchor.Kind
     KNOWN_POSE: Anchor.Kind
+    FIDUCIAL: Anchor.Kind
     class State(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
         __slots__ = ()
         STATE_UNSPECIFIED: _ClassVar[Anchor.State]
@@ -55,6 +57,7 @@ class Anchor(_message.Message):
     REASON_FIELD_NUMBER: _ClassVar[int]
     RESIDUAL_M_FIELD_NUMBER: _ClassVar[int]
     CREATED_AT_NS_FIELD_NUMBER: _ClassVar[int]
+    TAG_FIELD_NUMBER: _ClassVar[int]
     name: str
     kind: Anchor.Kind
     stamp_ns: int
@@ -69,10 +72,11 @@ class Anchor(_message.Message):
     reason: str
     residual_m: _geometry_pb2.Vector3
     created_at_ns: int
-    def __init__(self, name: _Optional[str] = ..., kind: _Optional[_Union[Anchor.Kind, str]] = ..., stamp_ns: _Optional[int] = ..., geodetic: _Optional[_Union[GeodeticPosition, _Mapping]] = ..., local_m: _Optional[_Union[_geometry_pb2.Vector3, _Mapping]] = ..., covariance_enu: _Optional[_Iterable[float]] = ..., offset_m: _Optional[_Union[_geometry_pb2.Vector3, _Mapping]] = ..., t_odom_sensor: _Optional[_Union[_geometry_pb2.Transform, _Mapping]] = ..., heading_rad: _Optional[float] = ..., heading_sigma_rad: _Optional[float] = ..., state: _Optional[_Union[Anchor.State, str]] = ..., reason: _Optional[str] = ..., residual_m: _Optional[_Union[_geometry_pb2.Vector3, _Mapping]] = ..., created_at_ns: _Optional[int] = ...) -> None: ...
+    tag: str
+    def __init__(self, name: _Optional[str] = ..., kind: _Optional[_Union[Anchor.Kind, str]] = ..., stamp_ns: _Optional[int] = ..., geodetic: _Optional[_Union[GeodeticPosition, _Mapping]] = ..., local_m: _Optional[_Union[_geometry_pb2.Vector3, _Mapping]] = ..., covariance_enu: _Optional[_Iterable[float]] = ..., offset_m: _Optional[_Union[_geometry_pb2.Vector3, _Mapping]] = ..., t_odom_sensor: _Optional[_Union[_geometry_pb2.Transform, _Mapping]] = ..., heading_rad: _Optional[float] = ..., heading_sigma_rad: _Optional[float] = ..., state: _Optional[_Union[Anchor.State, str]] = ..., reason: _Optional[str] = ..., residual_m: _Optional[_Union[_geometry_pb2.Vector3, _Mapping]] = ..., created_at_ns: _Optional[int] = ..., tag: _Optional[str] = ...) -> None: ...
 
 class NewAnchor(_message.Message):
-    __slots__ = ("anchor_id", "kind", "stamp_ns", "geodetic", "local_m", "covariance_enu", "offset_m", "t_odom_sensor", "heading_rad", "heading_sigma_rad")
+    __slots__ = ("anchor_id", "kind", "stamp_ns", "geodetic", "local_m", "covariance_enu", "offset_m", "t_odom_sensor", "heading_rad", "heading_sigma_rad", "tag")
     ANCHOR_ID_FIELD_NUMBER: _ClassVar[int]
     KIND_FIELD_NUMBER: _ClassVar[int]
     STAMP_NS_FIELD_NUMBER: _ClassVar[int]
@@ -83,6 +87,7 @@ class NewAnchor(_message.Message):
     T_ODOM_SENSOR_FIELD_NUMBER: _ClassVar[int]
     HEADING_RAD_FIELD_NUMBER: _ClassVar[int]
     HEADING_SIGMA_RAD_FIELD_NUMBER: _ClassVar[int]
+    TAG_FIELD_NUMBER: _ClassVar[int]
     anchor_id: str
     kind: Anchor.Kind
     stamp_ns: int
@@ -93,7 +98,8 @@ class NewAnchor(_message.Message):
     t_odom_sensor: _geometry_pb2.Transform
     heading_rad: float
     heading_sigma_rad: float
-    def __init__(self, anchor_id: _Optional[str] = ..., kind: _Optional[_Union[Anchor.Kind, str]] = ..., stamp_ns: _Optional[int] = ..., geodetic: _Optional[_Union[GeodeticPosition, _Mapping]] = ..., local_m: _Optional[_Union[_geometry_pb2.Vector3, _Mapping]] = ..., covariance_enu: _Optional[_Iterable[float]] = ..., offset_m: _Optional[_Union[_geometry_pb2.Vector3, _Mapping]] = ..., t_odom_sensor: _Optional[_Union[_geometry_pb2.Transform, _Mapping]] = ..., heading_rad: _Optional[float] = ..., heading_sigma_rad: _Optional[float] = ...) -> None: ...
+    tag: str
+    def __init__(self, anchor_id: _Optional[str] = ..., kind: _Optional[_Union[Anchor.Kind, str]] = ..., stamp_ns: _Optional[int] = ..., geodetic: _Optional[_Union[GeodeticPosition, _Mapping]] = ..., local_m: _Optional[_Union[_geometry_pb2.Vector3, _Mapping]] = ..., covariance_enu: _Optional[_Iterable[float]] = ..., offset_m: _Optional[_Union[_geometry_pb2.Vector3, _Mapping]] = ..., t_odom_sensor: _Optional[_Union[_geometry_pb2.Transform, _Mapping]] = ..., heading_rad: _Optional[float] = ..., heading_sigma_rad: _Optional[float] = ..., tag: _Optional[str] = ...) -> None: ...
 
 class Georeference(_message.Message):
     __slots__ = ("frame", "t_enu_map", "covariance", "anchors", "of_anchors", "residual_m", "sessions")

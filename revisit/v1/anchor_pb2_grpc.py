@@ -27,6 +27,7 @@ if _version_not_supported:
 
 class AnchorServiceStub:
     """Anchors: places of points of a robot as the world outside tells them. They put a map on earth, and hold it there.
+    Fiducials, tags of unknown place that a robot saw, decide loops.
     """
 
     def __init__(self, channel):
@@ -59,6 +60,7 @@ class AnchorServiceStub:
 
 class AnchorServiceServicer:
     """Anchors: places of points of a robot as the world outside tells them. They put a map on earth, and hold it there.
+    Fiducials, tags of unknown place that a robot saw, decide loops.
     """
 
     def PostAnchors(self, request, context):
@@ -124,6 +126,7 @@ def add_AnchorServiceServicer_to_server(servicer, server):
  # This class is part of an EXPERIMENTAL API.
 class AnchorService:
     """Anchors: places of points of a robot as the world outside tells them. They put a map on earth, and hold it there.
+    Fiducials, tags of unknown place that a robot saw, decide loops.
     """
 
     @staticmethod

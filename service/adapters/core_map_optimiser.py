@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING
@@ -29,9 +29,10 @@ from revisit.service.ports.map_optimiser import (
 )
 
 if TYPE_CHECKING:
-    from revisit.core.pose_graph.anchors import Anchor, Georeference
+    from revisit.core.pose_graph.anchors import Anchor, Georeference, JudgedAnchor
     from revisit.core.pose_graph.graph import LoopEdge, Node, PoseGraph
     from revisit.core.pose_graph.optimisation import OptimisedGraph, SolvedByLoops
+    from revisit.core.pose_graph.tags import TagSighting
 
 Array64 = NDArray[np.float64]
 
@@ -80,6 +81,7 @@ class NamedGraph:
     names: dict[int, str]
     posed: PoseGraph
     fixed: list[Anchor]
+    sightings: list[TagSighting]
     _nodes: dict[int, Node]
 
     @classmethod
@@ -104,11 +106,12 @@ class NamedGraph:
         usable = [loop for loop in graph.loops if loop.number not in graph.refused]
         anchors = tuple(names[number] for number in graph.anchors or sorted(names))
         posed = PoseGraph.of(trajectories, _edges(usable, nodes), anchors)
-        return cls(graph, names, weighed(posed, graph.window_m), _anchors(graph.fixed, nodes), nodes)
+        fixed, sightings = _anchors(graph.fixed, nodes), _sightings(graph.fixed, nodes)
+        return cls(graph, names, weighed(posed, graph.window_m), fixed, sightings, nodes)
 
     def with_anchors(self, fixed: Sequence[TrackAnchor]) -> NamedGraph:
         """The graph with these anchors instead of its own."""
-        return replace(self, fixed=_anchors(fixed, self._nodes))
+        return replace(self, fixed=_anchors(fixed, self._nodes), sightings=_sightings(fixed, self._nodes))
 
     def edges(self, loops: Sequence[TrackLoop]) -> list[LoopEdge]:
         """Further loops between its submaps."""
@@ -134,14 +137,18 @@ class NamedGraph:
             optimised.chi2,
             optimised.degrees_of_freedom,
             faults,
-            anchors=tuple(
-                JudgedTrackAnchor(_number(anchor.name), verdict)
-                for anchor, verdict in zip(self.fixed, optimised.anchors, strict=True)
-            ),
+            anchors=(*_judged(self.fixed, optimised.anchors), *_judged(self.sightings, self._by_tags(optimised))),
             on_earth=tuple(_on_earth(one, numbers) for one in optimised.georeferences),
             otherwise=None if optimised.otherwise is None else self.answer(optimised.otherwise, True),
             T_odom_submap={numbers[name]: its for name, its in optimised.T_odom_submap.items()},
         )
+
+    def _by_tags(self, optimised: OptimisedGraph) -> Sequence[JudgedAnchor]:
+        """The verdicts on the sightings of tags."""
+        from revisit.core.pose_graph.tags import judged_sightings
+
+        drives = {name: self.posed.by_session[name].T_odom_submap for name in self.names.values()}
+        return judged_sightings(drives, optimised.T_map_submap, optimised.components, self.sightings)
 
     def _track(self, track: SessionTrack, optimised: OptimisedGraph, is_mended: bool) -> OptimisedTrack:
         from revisit.core.pose_graph.faults import torn
@@ -169,6 +176,11 @@ def _number(name: str) -> int:
     return int(name.rpartition(":")[2])
 
 
+def _judged(anchors: Sequence[Anchor | TagSighting], verdicts: Iterable[JudgedAnchor]) -> Iterator[JudgedTrackAnchor]:
+    for one, verdict in zip(anchors, verdicts, strict=True):
+        yield JudgedTrackAnchor(_number(one.name), verdict)
+
+
 def _names(tracks: tuple[SessionTrack, ...]) -> dict[int, str]:
     """Names of tracks, in alphabetical order by their odometry; of equal ones by their numbers."""
     ordered = sorted(tracks, key=lambda track: (_digest(track.T_odom_submap), track.session_number))
@@ -193,8 +205,23 @@ def _anchors(fixed: Sequence[TrackAnchor], nodes: dict[int, Node]) -> list[Ancho
             one.heading,
         )
         for one in fixed
+        if one.tag is None
     ]
     return sorted(made, key=lambda one: (one.node, one.name))
+
+
+def _sightings(fixed: Sequence[TrackAnchor], nodes: dict[int, Node]) -> list[TagSighting]:
+    """Sightings of tags, in an order of their own, too."""
+    from revisit.core.pose_graph.tags import TagSighting
+
+    made = [
+        TagSighting(
+            f"{_digest(one.point_submap)}:{one.number}", nodes[one.submap], one.tag, one.point_submap, one.sigma_m
+        )
+        for one in fixed
+        if one.tag is not None
+    ]
+    return sorted(made, key=lambda one: (one.node, one.tag, one.name))
 
 
 def _on_earth(found: Georeference, numbers: Mapping[str, int]) -> FrameOnEarth:

@@ -36,7 +36,7 @@ def _anchor(sent: pb.NewAnchor) -> NewAnchor:
     kind = requests.state_of(AnchorKind, pb.Anchor.Kind, sent.kind)
     if kind is None:
         raise BadField("an anchor needs a kind", field="kind")
-    frame, position = _place(sent)
+    frame, position = _place(sent, kind)
     return NewAnchor(
         sent.anchor_id,
         kind,
@@ -46,12 +46,14 @@ def _anchor(sent: pb.NewAnchor) -> NewAnchor:
         tuple(sent.covariance_enu),
         (sent.offset_m.x, sent.offset_m.y, sent.offset_m.z),
         requests.optional_pose(sent, "t_odom_sensor"),
-        **requests.present(sent, "heading_rad", "heading_sigma_rad"),
+        **requests.present(sent, "heading_rad", "heading_sigma_rad", "tag"),
     )
 
 
-def _place(sent: pb.NewAnchor) -> tuple[AnchorFrame, tuple[float, float, float]]:
-    """Raises BadField where an anchor has no place, or two."""
+def _place(sent: pb.NewAnchor, kind: AnchorKind) -> tuple[AnchorFrame, tuple[float, float, float]]:
+    """Raises BadField where an anchor has no place, or two. A fiducial has none."""
+    if kind is AnchorKind.FIDUCIAL and not sent.HasField("geodetic") and not sent.HasField("local_m"):
+        return AnchorFrame.TAG, (0.0, 0.0, 0.0)
     if sent.HasField("geodetic") == sent.HasField("local_m"):
         raise BadField("an anchor needs one place: geodetic or local_m", field="geodetic")
     if sent.HasField("geodetic"):
@@ -63,13 +65,12 @@ def _place(sent: pb.NewAnchor) -> tuple[AnchorFrame, tuple[float, float, float]]
 def anchor_fields(view: AnchorView) -> Fields:
     """The fields of an Anchor."""
     record = view.record
-    on_earth = record.frame == AnchorFrame.WGS84
     return fields_of(
         pb.Anchor,
         record,
-        geodetic=geodetic_fields(record.position) if on_earth else None,
+        geodetic=geodetic_fields(record.position) if record.frame == AnchorFrame.WGS84 else None,
         covariance_enu=list(record.covariance),
-        local_m=None if on_earth else vector_fields(record.position),
+        local_m=vector_fields(record.position) if record.frame == AnchorFrame.LOCAL else None,
         state=None if view.state is None else view.state.value,
         reason=None if view.reason is None else view.reason.value,
         residual_m=None if view.residual_m is None else vector_fields(view.residual_m),

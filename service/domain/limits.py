@@ -117,6 +117,8 @@ MAP_FILES = 50
 ANCHORS = Range(1, 200)
 """Of one call."""
 ANCHORS_OF_SESSION = 50_000
+TAG_CHARACTERS = STOREY_CHARACTERS
+"""Of the family and id of a tag."""
 GEODETIC = {
     "latitude_deg": Range(-90.0, 90.0, "degrees"),
     "longitude_deg": Range(-180.0, 180.0, "degrees"),

@@ -340,7 +340,8 @@ class AnchorRecord:
 
     `position` is latitude and longitude, degrees, and altitude, metres, where `frame` is WGS84; metres east, north and
     above the origin of the map where it is LOCAL. covariance, 9 numbers of east, north and up, m^2; offset_m, the point
-    in the frame of the sensor; heading_rad, of the sensor's x axis, counter-clockwise from east.
+    in the frame of the sensor; heading_rad, of the sensor's x axis, counter-clockwise from east. Where `frame` is TAG,
+    the point is the `tag` of that family and id, position says nothing, and covariance is along the sensor's axes.
     """
 
     tenant: TenantId
@@ -358,6 +359,7 @@ class AnchorRecord:
     heading_rad: float | None
     heading_sigma_rad: float | None
     created_at_ns: int
+    tag: str | None = None
     number: int = 0
 
     @property

@@ -38,13 +38,15 @@ class AnchorKind(StrEnum):
     GNSS = "GNSS"
     CONTROL_POINT = "CONTROL_POINT"
     KNOWN_POSE = "KNOWN_POSE"
+    FIDUCIAL = "FIDUCIAL"
 
 
 class AnchorFrame(StrEnum):
-    """The frame of an anchor's place: earth, or metres from the origin of the map."""
+    """The frame of an anchor's place: earth, metres from the origin of the map, or a tag, whose place nobody knows."""
 
     WGS84 = "WGS84"
     LOCAL = "LOCAL"
+    TAG = "TAG"
 
 
 class LoopEventKind(StrEnum):

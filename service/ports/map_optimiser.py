@@ -56,7 +56,7 @@ class TrackLoop:
 @dataclass(frozen=True)
 class TrackAnchor:
     """An anchor of number `number`: point_submap (3,) of submap `submap`, by number, lies at place_enu (3,), metres
-    east, north and up from the origin of the map, with covariance (3, 3).
+    east, north and up from the origin of the map, with covariance (3, 3); or, of a `tag`, at a place that nobody knows.
     """
 
     number: int
@@ -65,6 +65,12 @@ class TrackAnchor:
     place_enu: Array64
     covariance: Array64
     heading: Heading | None = None
+    tag: str | None = None
+
+    @property
+    def sigma_m(self) -> float:
+        """The largest standard deviation of its place in any direction."""
+        return float(np.sqrt(np.linalg.eigvalsh(self.covariance)[-1]))
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ from revisit.service.features.resources.paging import PageRequest
 from revisit.service.features.search.calls import LocalizeQuery
 from revisit.service.features.tiles.calls import MapQuestion
 from revisit.service.features.waiting.freshness import DEFAULT_WAIT_S
-from revisit.service.rest.schemas import DISPLAY_NAME, ID, PROFILE, STOREY
+from revisit.service.rest.schemas import DISPLAY_NAME, ID, PROFILE, STOREY, TAG
 
 POSE_CHARACTERS, POINT_CHARACTERS = 400, 200
 
@@ -71,6 +71,7 @@ TEXTS: dict[str, dict[str, Any]] = {
     "map": ID,
     "display_name": DISPLAY_NAME,
     "storey": STOREY,
+    "tag": TAG,
     "profile": PROFILE,
     "url": {"max_length": limits.URL_CHARACTERS},
     "page_token": {"max_length": limits.PAGE_TOKEN_CHARACTERS},

@@ -44,6 +44,7 @@ ID: dict[str, Any] = {"pattern": f"^{limits.ID_PATTERN}$", "examples": ["yard-3"
 DISPLAY_NAME: dict[str, Any] = {"max_length": limits.DISPLAY_NAME_CHARACTERS, "pattern": r"^[^\x00-\x1f\x7f]*$"}
 PROFILE: dict[str, Any] = {"pattern": f"^({'|'.join(Profile)})$"}
 STOREY: dict[str, Any] = {"min_length": 1, "max_length": limits.STOREY_CHARACTERS, "examples": ["B2"]}
+TAG: dict[str, Any] = {"min_length": 1, "max_length": limits.TAG_CHARACTERS, "examples": ["tag36h11:17"]}
 
 Id = Annotated[str, Field(**ID)]
 Storey = Annotated[str, Field(**STOREY)]

@@ -91,9 +91,10 @@ export class AnchorList {
     const { x, y, z } = one.offset_m ?? { x: 0, y: 0, z: 0 };
     const at = new Vector3(x, y, z).applyMatrix4(product(T_drawing_odom, matrixOf(one.t_odom_sensor)));
     const earth = (this.version.summary.georeferences ?? []).find(({ frame }) => frame === this.frame());
-    if (!one.residual_m || !earth) return { state: stateOf(one), at, to: at };
+    if (!one.residual_m || !(earth || one.tag)) return { state: stateOf(one), at, to: at };
     const { x: east, y: north, z: up } = one.residual_m;
-    const off = new Vector3(east, north, up).transformDirection(inverse(matrixOf(earth.t_enu_map))).multiplyScalar(offBy(one));
+    const off = new Vector3(east, north, up);
+    if (!one.tag) off.transformDirection(inverse(matrixOf(earth.t_enu_map))).multiplyScalar(offBy(one));
     return { state: stateOf(one), at, to: at.clone().add(off) };
   }
 
@@ -139,6 +140,6 @@ function row(one) {
     "li",
     { "data-state": state, title: why || null },
     element("i", { class: `thing ${state.toLowerCase().replaceAll("_", "-")}` }),
-    element("span", {}, `${lastOf(one.name)}: ${STATES[state].toLowerCase()}${off}`, element("small", {}, [lastOf(sessionOf(one.name)), why].filter(Boolean).join(" \u00b7 "))),
+    element("span", {}, `${lastOf(one.name)}${one.tag ? ` (${one.tag})` : ""}: ${STATES[state].toLowerCase()}${off}`, element("small", {}, [lastOf(sessionOf(one.name)), why].filter(Boolean).join(" \u00b7 "))),
   );
 }

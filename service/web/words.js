@@ -56,6 +56,11 @@ const ANCHOR_REASONS = {
   TOO_FEW: "fewer than four anchors agree",
   NOT_SPREAD: "they lie too near each other to tell the heading of the map",
   MOSTLY_DISAGREE: "fewer than half agree",
+  MISREAD: "the tag was read for another one",
+  MOVED: "other passes see the tag elsewhere",
+  TWO_PLACES: "the tag hangs at two places",
+  SEEN_ONCE: "no other pass has seen the tag",
+  NOT_JOINED: "the tag is in another frame, too, and no loop joins them",
 };
 
 /** Why an anchor does not hold the map, in words. */

@@ -94,3 +94,26 @@ def with_stamps(world, map_id: str = "town") -> None:
             uow.submaps.replace(replace(one, stamp_ns=1_000 * one.ordinal))
 
     world.context.transactions.write(stamp).result()
+
+
+def tags_beside(made: Fleet, session: str, each: int = 3) -> dict[str, np.ndarray]:
+    """Places (3,) in the world of tags beside every third submap of a session, by their ids."""
+    poses = made.truth[session][::each]
+    return {f"tag36h11:{n}": se3.apply(T, np.array([[1.0, 2.5, 0.5]]))[0] for n, T in enumerate(poses)}
+
+
+def seen_tags(made: Fleet, session: str, tags: dict[str, np.ndarray], sigma_m: float = 0.03) -> list[NewAnchor]:
+    """A session's sightings of tags, each from the two submaps nearest to it, as a client has them."""
+    rng, found = np.random.default_rng(int(session[1:])), []
+    for tag, place in tags.items():
+        off_m = np.linalg.norm(made.truth[session][:, :3, 3] - place, axis=1)
+        for ordinal in np.argsort(off_m)[:2].tolist():
+            point = se3.apply(se3.inverse(made.truth[session][ordinal]), place[None])[0] + sigma_m * rng.normal(size=3)
+            found.append(
+                NewAnchor(
+                    f"{session}-{len(found)}", AnchorKind.FIDUCIAL, AnchorFrame.TAG, 1_000 * ordinal, (0.0, 0.0, 0.0),
+                    tuple((sigma_m**2 * np.eye(3)).ravel().tolist()), tuple(point.tolist()),
+                    made.graph.by_session[session].T_odom_submap[ordinal], tag=tag,
+                )
+            )  # fmt: skip
+    return found

@@ -323,6 +323,7 @@ anchors = _numbered(
     _real("heading_rad", nullable=True),
     _real("heading_sigma_rad", nullable=True),
     _integer("created_at_ns"),
+    _text("tag", nullable=True),
     ForeignKeyConstraint(
         ["tenant", "map_id", "session_id"], ["sessions.tenant", "sessions.map_id", "sessions.session_id"]
     ),

@@ -14,7 +14,7 @@ from revisit.core.errors import BadField
 from revisit.core.geometry import se3
 from revisit.core.geometry.se3 import Matrix4, pose_matrix, pose_row
 from revisit.service.domain import limits
-from revisit.service.domain.identity import SessionKey, TenantId, content_hash, validated_id
+from revisit.service.domain.identity import SessionKey, TenantId, content_hash, validated_detail, validated_id
 from revisit.service.domain.records import AnchorRecord
 from revisit.service.domain.states import AnchorFrame, AnchorKind
 
@@ -23,7 +23,10 @@ Array64 = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class NewAnchor:
-    """An anchor to post (see `AnchorRecord`); T_odom_sensor (4, 4) is None where the stored scans tell it."""
+    """An anchor to post (see `AnchorRecord`); T_odom_sensor (4, 4) is None where the stored scans tell it.
+
+    A fiducial has its `tag`, the frame TAG, and no position.
+    """
 
     anchor_id: str
     kind: AnchorKind
@@ -35,11 +38,13 @@ class NewAnchor:
     T_odom_sensor: Matrix4 | None = None
     heading_rad: float | None = None
     heading_sigma_rad: float | None = None
+    tag: str | None = None
 
     def validated(self) -> NewAnchor:
         """The same. Raises BadField."""
         validated_id(self.anchor_id, "anchor_id")
         limits.STAMP_NS.validated(self.stamp_ns, "stamp_ns")
+        self._require_tag()
         bounds = limits.GEODETIC if self.frame is AnchorFrame.WGS84 else limits.LOCAL
         for (field, bound), value in zip(bounds.items(), self.position, strict=True):
             bound.validated(value, field)
@@ -48,6 +53,12 @@ class NewAnchor:
         _require_covariance(self.covariance)
         self._require_heading()
         return self
+
+    def _require_tag(self) -> None:
+        is_tag = self.kind is AnchorKind.FIDUCIAL
+        if {self.tag is not None, self.frame is AnchorFrame.TAG} != {is_tag}:
+            raise BadField("a FIDUCIAL needs its tag and has no place, others have a place and no tag", field="tag")
+        validated_detail(self.tag, "tag")
 
     def _require_heading(self) -> None:
         told = {self.heading_rad is not None, self.heading_sigma_rad is not None}
@@ -62,7 +73,8 @@ class NewAnchor:
     def record(self, tenant: TenantId, key: SessionKey, T_odom_sensor: Matrix4, now_ns: int) -> AnchorRecord:
         """The row, with the pose of the sensor in the odometry frame of the session."""
         given = None if self.T_odom_sensor is None else self.T_odom_sensor.astype("<f8").tobytes()
-        content = [given if name == "T_odom_sensor" else value for name, value in vars(self).items()]
+        told = ((name, value) for name, value in vars(self).items() if name != "tag" or value is not None)
+        content = [given if name == "T_odom_sensor" else value for name, value in told]
         return AnchorRecord(
             tenant=tenant,
             map_id=key.map_id,
@@ -79,6 +91,7 @@ class NewAnchor:
             heading_rad=self.heading_rad,
             heading_sigma_rad=self.heading_sigma_rad,
             created_at_ns=now_ns,
+            tag=self.tag,
         )
 
 

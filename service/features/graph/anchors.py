@@ -17,6 +17,8 @@ from revisit.core.pose_graph.anchors import Anchor, AnchoredSession, Heading
 from revisit.core.pose_graph.anchors_against_loops import refuted_by_anchors
 from revisit.core.pose_graph.anchors_for_loops import AnchorsForLoops, OpenPair
 from revisit.core.pose_graph.graph import LoopEdge, Node
+from revisit.core.pose_graph.tags import TagSighting
+from revisit.core.pose_graph.tags_between import refuted_by_tags
 from revisit.service.domain.identity import TenantId
 from revisit.service.domain.records import AnchorRecord, MapRecord
 from revisit.service.domain.states import AnchorFrame
@@ -134,7 +136,8 @@ def track_anchor(row: AnchorRecord, place: Array64, submap: PlacedSubmap) -> Tra
     if row.heading_rad is not None and row.heading_sigma_rad is not None:
         heading = Heading(T_submap_sensor[:3, 0], row.heading_rad, row.heading_sigma_rad)
     point = se3.apply(T_submap_sensor, np.array([row.offset_m]))[0]
-    return TrackAnchor(row.number, submap.number, point, place, np.reshape(row.covariance, (3, 3)), heading)
+    covariance = np.reshape(row.covariance, (3, 3))
+    return TrackAnchor(row.number, submap.number, point, place, covariance, heading, row.tag)
 
 
 def loops_against(graph: MapGraph, fixed: Sequence[TrackAnchor]) -> dict[int, str]:
@@ -147,6 +150,7 @@ def loops_against(graph: MapGraph, fixed: Sequence[TrackAnchor]) -> dict[int, st
         LoopEdge(str(one.number), nodes[one.match], nodes[one.query], one.T_match_query, unread) for one in graph.loops
     ]
     refuted = refuted_by_anchors(_drives(graph), loops, _anchors(nodes, fixed))
+    refuted |= refuted_by_tags(_drives(graph), loops, _sightings(nodes, fixed))
     return dict.fromkeys(sorted(map(int, refuted)), MergeRefusal.ANCHORS_DISAGREE.value)
 
 
@@ -161,7 +165,7 @@ class AnchoredSubmaps:
     def of(cls, graph: MapGraph, fixed: Sequence[TrackAnchor]) -> AnchoredSubmaps:
         """Those of a graph, by these anchors."""
         nodes = _nodes(graph)
-        return cls(nodes, AnchorsForLoops(_drives(graph), _anchors(nodes, fixed)))
+        return cls(nodes, AnchorsForLoops(_drives(graph), _anchors(nodes, fixed), _sightings(nodes, fixed)))
 
     def pair(self, number: int, match: int, query: int, poses: tuple[Matrix4, ...]) -> OpenPair:
         """The pair of ambiguous loop `number` between two submaps, and the poses T_match_query (4, 4) that fit it."""
@@ -195,7 +199,17 @@ def _drives(graph: MapGraph) -> dict[str, Array64]:
 
 def _anchors(nodes: Mapping[int, Node], fixed: Iterable[TrackAnchor]) -> list[Anchor]:
     return [
-        Anchor(str(one.number), nodes[one.submap], one.point_submap, one.place_enu, one.covariance) for one in fixed
+        Anchor(str(one.number), nodes[one.submap], one.point_submap, one.place_enu, one.covariance)
+        for one in fixed
+        if one.tag is None
+    ]
+
+
+def _sightings(nodes: Mapping[int, Node], fixed: Iterable[TrackAnchor]) -> list[TagSighting]:
+    return [
+        TagSighting(str(one.number), nodes[one.submap], one.tag, one.point_submap, one.sigma_m)
+        for one in fixed
+        if one.tag is not None
     ]
 
 

@@ -142,7 +142,7 @@ def poses_of(loop: LoopRecord) -> tuple[Matrix4, ...]:
 def is_by_anchors(loop: LoopRecord) -> bool:
     """Whether anchors chose the pose of a stored loop (docs/decisions/0362)."""
     support = loop.evidence.get("support")
-    return support is not None and bool(support.get("on_earth"))
+    return support is not None and bool(support.get("on_earth") or support.get("tags"))
 
 
 def loop_state(claim: LoopClaim) -> LoopState:
@@ -237,6 +237,7 @@ def support_evidence(support: Support) -> Evidence:
         "ruled_out": [pose.tolist() for pose in support.ruled_out],
         "words": support.words,
         **{name: True for name in _WITNESSES if getattr(support, name)},
+        **({"tags": [*support.tags]} if support.tags else {}),
     }
 
 
@@ -245,7 +246,7 @@ def _support_from(stored: Evidence | None) -> Support | None:
         return None
     counts = stored["anchors"], stored["agreeing"], stored["along_m"]
     witnesses = {name: stored.get(name, False) for name in _WITNESSES}
-    return Support(*counts, tuple(_poses(stored["ruled_out"])), **witnesses)
+    return Support(*counts, tuple(_poses(stored["ruled_out"])), **witnesses, tags=tuple(stored.get("tags", ())))
 
 
 def _grounds_from(stored: Evidence) -> Grounds:

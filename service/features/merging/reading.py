@@ -119,16 +119,18 @@ class MergeTask:
     def against(self, crossing: tuple[TrackLoop, ...]) -> dict[int, str]:
         """The loops between both that their anchors speak against, by number, each with the reason.
 
-        None where a map has no origin: metres from unknown places say nothing of each other.
+        Tags alone where a map has no origin: metres from unknown places say nothing of each other.
         """
         (first, of_first), (second, of_second) = (
             (one.task.graph, one.task.map.origin) for one in (self.target, self.source)
         )
-        if of_first is None or of_second is None or not first.fixed or not second.fixed:
+        if not first.fixed or not second.fixed:
             return {}
+        both = replace(first, tracks=first.tracks + second.tracks, loops=crossing)
+        if of_first is None or of_second is None:
+            return loops_against(both, tuple(one for one in (*first.fixed, *second.fixed) if one.tag is not None))
         T_first_second = se3.inverse(geodesy.T_ecef_enu(of_first)) @ geodesy.T_ecef_enu(of_second)
         moved = (replace(one, place_enu=se3.apply(T_first_second, one.place_enu[None])[0]) for one in second.fixed)
-        both = replace(first, tracks=first.tracks + second.tracks, loops=crossing)
         return loops_against(both, (*first.fixed, *moved))
 
     def graph(self, crossing: tuple[TrackLoop, ...]) -> MapGraph:

@@ -149,11 +149,15 @@ class MergeCommit:
             after = page[-1].number if len(page) == _PAGE else None
 
     def _copy_anchors(self, uow: UnitOfWork, target: MapRecord, session: SessionRecord, copy: SessionRecord) -> None:
-        """Those on earth, which hold the next version; metres from another map's origin say nothing in this one."""
+        """Those on earth and tags, which hold the next version; metres from another map's origin say nothing here."""
         anchors = uow.anchors.find(session.tenant, map_id=session.map_id, session_id=session.session_id)
         on_earth = [one for one in anchors if one.frame == AnchorFrame.WGS84]
         uow.anchors.add_all(
-            [replace(one, map_id=copy.map_id, session_id=copy.session_id, number=0) for one in on_earth]
+            [
+                replace(one, map_id=copy.map_id, session_id=copy.session_id, number=0)
+                for one in anchors
+                if one.frame != AnchorFrame.LOCAL
+            ]
         )
         current = uow.maps.get(target.tenant, target.map_id)
         if current is not None and current.origin is None and on_earth:

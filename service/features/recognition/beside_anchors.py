@@ -34,11 +34,14 @@ _REFUTED = frozenset({Doubt.ODOMETRY_INCONSISTENT, Doubt.RADIO_DISAGREES})
 
 @dataclass(frozen=True)
 class ChosenLoop:
-    """An ambiguous loop, by number, the pose T_match_query (4, 4) that anchors choose, and those that they rule out."""
+    """An ambiguous loop, by number, the pose T_match_query (4, 4) that anchors choose, those that they rule out, and
+    the tags among them; none where places choose it.
+    """
 
     number: int
     T_match_query: Matrix4
     ruled_out: tuple[Matrix4, ...]
+    tags: tuple[str, ...]
 
 
 @dataclass(frozen=True)
@@ -67,7 +70,8 @@ def loops_by_anchors(
     rows = submaps.asked.chosen([*standing, *(one.pair for one in ambiguous)])
     found = [one for one in ambiguous if one.pair.name in rows and rows[one.pair.name] not in one.tested]
     lost = [int(pair.name) for pair in standing if pair.chosen and pair.name not in rows]
-    return ByAnchors([one.chosen(rows[one.pair.name]) for one in _in_turn(found, standing)], lost)
+    turns = ((one, rows[one.pair.name]) for one in _in_turn(found, standing))
+    return ByAnchors([one.chosen(row, submaps.asked.tags(one.pair, row)) for one, row in turns], lost)
 
 
 @dataclass(frozen=True)
@@ -78,10 +82,10 @@ class _Ambiguous:
     similarity: float
     tested: frozenset[int]
 
-    def chosen(self, row: int) -> ChosenLoop:
-        """With the pose in a row."""
+    def chosen(self, row: int, tags: tuple[str, ...]) -> ChosenLoop:
+        """With the pose in a row, by these tags."""
         others = (*self.pair.poses[:row], *self.pair.poses[row + 1 :])
-        return ChosenLoop(int(self.pair.name), self.pair.poses[row], others)
+        return ChosenLoop(int(self.pair.name), self.pair.poses[row], others, tags)
 
 
 def _in_turn(found: Iterable[_Ambiguous], standing: Iterable[OpenPair]) -> list[_Ambiguous]:

@@ -80,6 +80,7 @@ class RecalledLoop:
     """A rejected loop, its two submaps, how the map says they lie, and the verdict from there once it is known.
 
     ruled_out: the other poses T_match_query (4, 4) where anchors have chosen this one; None where the map says it.
+    tags: those among these anchors.
     """
 
     map: MapRecord
@@ -89,6 +90,7 @@ class RecalledLoop:
     T_match_query: Matrix4
     ruled_out: tuple[Matrix4, ...] | None = None
     verdict: PairVerdict | None = None
+    tags: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -97,6 +99,7 @@ class _Found:
     record: LoopRecord
     T_match_query: Matrix4
     ruled_out: tuple[Matrix4, ...] | None = None
+    tags: tuple[str, ...] = ()
 
 
 _Page = tuple[list[_Found], int | None]
@@ -185,7 +188,7 @@ def _chosen(uow: UnitOfWork, tenant: TenantId, map_id: str, by_anchors: Sequence
     loops = uow.loops.numbered(tenant, [one.number for one in some])
     found = ((one, loops.get(one.number)) for one in some)
     return [
-        _Found(record, loop, one.T_match_query, one.ruled_out)
+        _Found(record, loop, one.T_match_query, one.ruled_out, one.tags)
         for one, loop in found
         if record is not None and loop is not None
     ]
@@ -277,6 +280,7 @@ def _undecided(uow: UnitOfWork, tenant: TenantId, best: list[_Found]) -> list[Re
             submaps[one.record.match_number],
             one.T_match_query,
             one.ruled_out,
+            tags=one.tags,
         )
         for one in best
         if {one.record.query_number, one.record.match_number} <= submaps.keys()
@@ -288,7 +292,8 @@ def _support(one: RecalledLoop) -> Evidence:
     """The evidence that anchors chose the pose of a loop; none where the map told it."""
     if one.ruled_out is None:
         return {}
-    return {"support": support_evidence(Support(0, 0, 0.0, one.ruled_out, on_earth=True))}
+    told = Support(0, 0, 0.0, one.ruled_out, on_earth=not one.tags, tags=one.tags)
+    return {"support": support_evidence(told)}
 
 
 def _as_read(loop: LoopRecord) -> tuple[int, LoopStanding, Any]:

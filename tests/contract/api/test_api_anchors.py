@@ -23,6 +23,10 @@ FIX = NewAnchor(
     T_odom_sensor=np.eye(4),
 )  # fmt: skip
 POINT = NewAnchor("door", "CONTROL_POINT", 2_000, 0.01 * np.eye(3), local_m=(1.0, 2.0, 3.0), T_odom_sensor=np.eye(4))
+TAG = NewAnchor(
+    "seen-17", "FIDUCIAL", 3_000, np.array([0.03, 0.03, 0.05]), offset_m=(2.0, 1.0, 0.5), T_odom_sensor=np.eye(4),
+    tag="tag36h11:17",
+)  # fmt: skip
 START = replace(POINT, anchor_id="start", kind="KNOWN_POSE", heading_rad=0.5, heading_sigma_rad=0.01)
 
 
@@ -41,6 +45,16 @@ def test_anchors_are_stored_in_their_order_and_the_first_on_earth_gives_the_orig
     assert (start.heading_rad, start.heading_sigma_rad) == (0.5, 0.01)
     origin = client.get_map(town).origin
     assert (origin.latitude_deg, origin.longitude_deg, origin.altitude_m) == (48.0, 11.0, 500.0)
+
+
+def test_a_fiducial_has_its_tag_and_no_place_and_is_passed_over_again(client, session, town):
+    (posted,) = client.sessions.post_anchors(session, [TAG])
+    assert (posted.kind, posted.tag, posted.offset_m) == ("FIDUCIAL", "tag36h11:17", (2.0, 1.0, 0.5))
+    assert (posted.geodetic, posted.local_m, posted.state) == (None, None, None)
+    assert client.sessions.post_anchors(session, [TAG]) == [posted] == client.sessions.anchors(session)
+    with pytest.raises(AlreadyExists):
+        client.sessions.post_anchors(session, [replace(TAG, tag="tag36h11:18")])
+    assert client.get_map(town).origin is None
 
 
 def test_the_same_anchor_again_is_passed_over_and_another_of_its_id_is_refused(client, session):
@@ -135,6 +149,24 @@ def test_a_preview_of_anchors_is_an_operation_that_keeps_none(client, session):
         client.sessions.preview_anchors(session, [POINT, replace(POINT, stamp_ns=5)])
     with pytest.raises(InvalidArgument):
         client.sessions.preview_anchors(session, [replace(FIX, T_odom_sensor=None)])
+
+
+@pytest.mark.parametrize(
+    ("one", "change", "field"),
+    [
+        (TAG, {"tag": None}, "tag"),
+        (TAG, {"tag": ""}, "tag"),
+        (TAG, {"tag": 65 * "7"}, "tag"),
+        (TAG, {"tag": " 7"}, "tag"),
+        (TAG, {"local_m": (0.0, 0.0, 0.0)}, "tag"),
+        (TAG, {"heading_rad": 1.0, "heading_sigma_rad": 0.1}, "heading_rad"),
+        (FIX, {"tag": "tag36h11:17"}, "tag"),
+    ],
+)
+def test_a_tag_without_its_id_or_with_a_place_is_refused(client, session, one, change, field):
+    with pytest.raises(InvalidArgument) as refused:
+        client.sessions.post_anchors(session, [replace(one, **change)])
+    assert (refused.value.field or "").endswith(field)
 
 
 @pytest.mark.parametrize(

@@ -44,6 +44,16 @@ def test_a_table_holds_fixes_and_points_in_metres(tmp_path):
     assert (start.heading_rad, start.heading_sigma_rad) == (1.5, 0.01)
 
 
+def test_a_table_and_json_may_hold_tags(tmp_path):
+    head = ",".join(["anchor_id", "kind", "time", *SIGMAS, *OFFSET, "tag"])
+    table = f"{head}\ns1,fiducial,5,0.03,0.03,0.05,2,1,0.5,tag36h11:17\n"
+    (one,) = anchors_in(written(tmp_path, "tags.csv", table))
+    assert (one.kind, one.tag, one.offset_m) == ("FIDUCIAL", "tag36h11:17", (2.0, 1.0, 0.5))
+    assert one.geodetic is None and one.local_m is None
+    (again,) = anchors_in(written(tmp_path, "tags.json", json.dumps([one.message()])))
+    assert again.message() == one.message()
+
+
 def test_a_table_may_hold_the_pose_of_the_sensor(tmp_path):
     x, y, z, w = se3.to_quaternion(T)
     row = ",".join(map(repr, (*map(float, T[:3, 3]), float(x), float(y), float(z), float(w))))
