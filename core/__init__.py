@@ -26,7 +26,7 @@ The modules in the order of the paper:
 Beside them: geometry (transforms, frames, voxel keys, the vertical of a cloud), kernels (compiled inner loops), codec
 (stored bytes), config (all parameters), profiles (the paper's form), model_bundle (decoder and codebooks), sanity
 (plausibility of the input), radio (which access points a place hears), point_columns (a point beside its coordinates),
-pair_verdict (types of verdicts), stages (their names and times), errors.
+pair_verdict (types of verdicts), stages (their names and times), string_enum (names as strings), errors.
 
 Nothing here knows a network, a database, a clock or a file.
 """

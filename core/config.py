@@ -10,12 +10,12 @@ import dataclasses
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from enum import StrEnum
 from typing import Any, ClassVar, NoReturn
 
 import numpy as np
 
 from revisit.core.errors import BadField
+from revisit.core.string_enum import StrEnum
 
 ANGLE_BINS = 18
 """Bins of the angles between regional normals, of ten degrees each (paper III-C)."""

@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Mapping
-from enum import StrEnum
+
+from revisit.core.string_enum import StrEnum
 
 
 class ErrorCode(StrEnum):

@@ -9,11 +9,14 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from typing import Self
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from revisit.core.errors import DataLoss
+
+if TYPE_CHECKING:
+    from typing import Self
 
 MOST_HEARD = 64
 """Access points of a fingerprint: the strongest."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +14,9 @@ from revisit.core.geometry import se3
 from revisit.formats.satellite_fix import SatelliteFix
 from revisit.sdk.messages import pose_message
 from revisit.sdk.scan_choice import pose_matrix
+
+if TYPE_CHECKING:
+    from typing import Self
 
 ANCHORS_AT_ONCE = 200
 """Of one call."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any
 
 from revisit.api.calls import CALLS
 from revisit.sdk import names
@@ -38,6 +38,9 @@ from revisit.sdk.spooled_stream import RECONNECT, SpooledStream
 from revisit.sdk.transport import Forgetful, OnDelay, Refusal, ScanSink, Transport
 from revisit.sdk.watching import Watch
 from revisit.v1 import event_pb2, loop_closure_pb2, mapping_pb2, system_pb2
+
+if TYPE_CHECKING:
+    from typing import Self
 
 DELETIONS = {
     "maps": "DeleteMap",

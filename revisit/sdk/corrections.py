@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Iterator
-from typing import Self
+from typing import TYPE_CHECKING
 
 from revisit.sdk.errors import ApiError
 from revisit.sdk.resources import Correction
 from revisit.sdk.transport import CorrectionFeed, Transport
 from revisit.v1 import mapping_pb2
+
+if TYPE_CHECKING:
+    from typing import Self
 
 _LOOK_S = 0.5
 """How often a watch looks whether it was closed."""

@@ -17,6 +17,9 @@ Bytes = Callable[[str, int], Iterator[bytes]]
 PART = ".part"
 """Behind the name of a file that is not whole yet, with a part of its hash: other versions do not go on in it."""
 
+HASHED_BYTES = 2**20
+"""That are read from the disk at a time."""
+
 
 def fetch_file(file: MapFile, out: Path, read: Bytes, retry: RetryPolicy) -> None:
     """Download a map file to `out`, which is there only when it is whole.
@@ -58,8 +61,11 @@ def _append(part: Path, pieces: Iterator[bytes], missing_bytes: int) -> None:
 def _require_hash(part: Path, file: MapFile) -> None:
     if not part.exists():
         part.touch()
+    hashed = hashlib.sha256()
     with part.open("rb") as stream:
-        found = hashlib.file_digest(stream, "sha256").hexdigest()
+        while piece := stream.read(HASHED_BYTES):
+            hashed.update(piece)
+    found = hashed.hexdigest()
     if found != file.map_hash:
         part.unlink()
         message = f"{file.name} came with the hash {found}, not {file.map_hash}"

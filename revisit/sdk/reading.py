@@ -12,7 +12,7 @@ import types
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
 from functools import cache
-from typing import Any, Self, Union, cast, get_args, get_origin, get_type_hints
+from typing import TYPE_CHECKING, Any, Union, cast, get_args, get_origin, get_type_hints
 
 import numpy as np
 from google.protobuf.descriptor import FieldDescriptor
@@ -21,6 +21,9 @@ from numpy.typing import NDArray
 
 from revisit.core.geometry import se3
 from revisit.v1 import geometry_pb2
+
+if TYPE_CHECKING:
+    from typing import Self
 
 Json = dict[str, Any]
 Matrix4 = NDArray[np.float64]

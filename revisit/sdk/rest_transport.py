@@ -9,7 +9,7 @@ import time
 from collections import deque
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from typing import Any, Never, TypeVar
+from typing import Any, NoReturn, TypeVar
 
 import httpx
 from google.protobuf.json_format import ParseDict, ParseError
@@ -115,7 +115,7 @@ class RestTransport:
         """See Transport."""
         return RestScanSink(self, session, journal)
 
-    def open_conversation(self, opening: loop_closure_pb2.RelocaliseOpen) -> Never:
+    def open_conversation(self, opening: loop_closure_pb2.RelocaliseOpen) -> NoReturn:
         """See Transport: HTTP has no stream in both directions."""
         message = "a conversation needs gRPC: make the client by Client.grpc()"
         raise FailedPrecondition(ErrorDetails("FAILED_PRECONDITION", "NEEDS_GRPC", message))

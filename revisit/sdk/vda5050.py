@@ -8,11 +8,14 @@ DISABLED: orders may use it. Enabled is not active: a robot drives on the map th
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any
 from urllib.parse import urljoin
 
 from revisit.sdk.addresses import http_address
 from revisit.sdk.resources import MapFile
+
+if TYPE_CHECKING:
+    from typing import Self
 
 
 @dataclass(frozen=True)

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Iterator
-from typing import Self
+from typing import TYPE_CHECKING
 
 from revisit.sdk.errors import ApiError
 from revisit.sdk.resources import Event
 from revisit.sdk.retry import RetryPolicy
 from revisit.sdk.transport import Transport
 from revisit.v1 import event_pb2
+
+if TYPE_CHECKING:
+    from typing import Self
 
 RECONNECT = RetryPolicy(base_s=0.2, cap_s=10.0)
 """The pauses between two attempts to connect; there is no last one."""
