@@ -73,6 +73,7 @@ function surfaceOf(gltf) {
   });
   made.computeVertexNormals();
   made.computeBoundingSphere();
+  made.userData.heights = heightsOf(made.getAttribute("position").array);
   return made;
 }
 
@@ -97,7 +98,7 @@ function thinned(geometry) {
   const points = everyNth(all, 3, step);
   made.setAttribute("position", new BufferAttribute(points, 3));
   made.computeBoundingSphere();
-  made.userData = { heights: bulkOf(points.filter((_, index) => index % 3 === 2), 1), ranges: {} };
+  made.userData = { heights: heightsOf(points), ranges: {} };
   for (const [name, size] of Object.entries(COLUMNS)) {
     const column = geometry.getAttribute(name);
     if (!Number.isFinite(column?.getX(0))) continue; // the loader makes up a column that a file has not
@@ -118,6 +119,8 @@ function everyNth(attribute, size, step) {
   }
   return values;
 }
+
+const heightsOf = (points) => bulkOf(points.filter((_, index) => index % 3 === 2), 1);
 
 /** The numbers between which nearly all of `values` lie, which are sorted; 0 and `high` for none. */
 function bulkOf(values, high) {

@@ -18,6 +18,20 @@ export function matrixOfRows(rows) {
 export const product = (...matrices) => matrices.reduce((a, b) => a.clone().multiply(b));
 export const inverse = (matrix) => matrix.clone().invert();
 
+/** A pose as the service takes it: x,y,z,qx,qy,qz,qw. */
+export function poseText(matrix) {
+  const [t, q, s] = [new Vector3(), new Quaternion(), new Vector3()];
+  matrix.decompose(t, q, s);
+  return [...t.toArray(), ...q.toArray()].join(",");
+}
+
+/** The turn of a pose about an axis, a unit vector, radians, -pi to pi. */
+export function turnOf(matrix, axis) {
+  const { x, y, z, w } = new Quaternion().setFromRotationMatrix(new Matrix4().extractRotation(matrix));
+  const turn = 2 * Math.atan2(axis.x * x + axis.y * y + axis.z * z, w);
+  return Math.atan2(Math.sin(turn), Math.cos(turn));
+}
+
 /** The frame of the map that most submaps have a pose in, the first by its name of several, or null: as the service takes pins. */
 export function mainFrame(submaps) {
   const counts = new Map();

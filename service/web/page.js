@@ -9,6 +9,7 @@ import { byId, element, lastOf, plural, press, refill, sessionOf, shortName, soo
 import { DriveChanges } from "/drives.js";
 import { Watch } from "/events.js";
 import { connectExports, saveSubmap } from "/exports.js";
+import { Vector3 } from "/vendor/three-0.187.0/three.module.js";
 import { inverse, mainFrame, matrixOf, placements, product } from "/frames.js";
 import { listen } from "/keyboard.js";
 import { nearMisses } from "/nearmisses.js";
@@ -16,6 +17,7 @@ import { PairView } from "/pair.js";
 import { Plans } from "/plans.js";
 import { actionsOf } from "/review.js";
 import { MapView, roundMetres } from "/scene.js";
+import { HeightSlice } from "/slice.js";
 import { Tools, inWords } from "/tools.js";
 import { Versions } from "/versions.js";
 import { faultOf, stateOf, titleOf, verdictOf } from "/words.js";
@@ -53,7 +55,14 @@ let versions = null;
 let drives = null;
 let anchors = null;
 let plans = null;
-const pair = new PairView({ onStep: stepPair, onClose: () => select(model.selected), actionsOf: (loop) => actionsOf(loop, taken) });
+let slice = null;
+const pair = new PairView({
+  onStep: stepPair,
+  onClose: () => select(model.selected),
+  onRegistered: registered,
+  actionsOf: (loop) => actionsOf(loop, taken),
+  startOf,
+});
 
 // ---------------------------------------------------------------------------------------------- reading
 
@@ -78,6 +87,7 @@ function forgetMap() {
   anchors?.clear();
   plans?.clear();
   tools?.use("none");
+  slice?.clear();
   Object.assign(model, { map: null, missing: "", rejectedRead: false, reading: false, selected: null, listed: LISTED_AT_ONCE, faults: [] });
   for (const held of [model.sessions, model.submaps, model.loops, model.operations, model.hidden]) held.clear();
 }
@@ -265,6 +275,7 @@ function renderStage(loops, refit) {
     anchors?.draw();
     plans?.draw();
     tellLegend(view.colouring);
+    slice?.refresh();
   }
   Object.assign(document.body.dataset, { submaps, drawnSubmaps: view?.places.size ?? 0, drawnLoops: view?.drawnLoops ?? 0, listedLoops: loops.length });
   tellEmpty(submaps);
@@ -330,7 +341,22 @@ function tellCaption(every, drawn, until) {
   if (apart.length) said.push(`${plural(apart.length, "session")} not drawn: no loop closure leads there yet`);
   const more = Object.assign(document.createElement("span"), { className: "wide" });
   if (corrected) more.textContent = `; odometry alone is up to ${driftInWords(drawn)} off`;
-  byId("caption").replaceChildren(said.join(" \u00b7 "), more);
+  byId("caption").replaceChildren(said.join(" \u00b7 "), element("span", { class: "sliced" }), more);
+  tellSlice();
+}
+
+/** A slice has heights, and a lifted drawing has none. */
+function sliced() {
+  if (slice.isOn && Number(byId("lift").value)) {
+    byId("lift").value = "0";
+    renderSoon();
+  }
+  tellSlice();
+}
+
+function tellSlice() {
+  const said = byId("caption").querySelector(".sliced");
+  if (said) said.textContent = slice?.inWords() ? ` \u00b7 heights ${slice.inWords()}` : "";
 }
 
 const versionShown = () => Math.max(0, ...[...model.submaps.values()].map((submap) => Number(submap.map_version)));
@@ -558,6 +584,21 @@ function beforeOf(loop) {
   return of_query === of_match ? product(inverse(T_m), T_q) : null;
 }
 
+/** How two submaps lie to each other as they are drawn, else side by side as odometry turns them; and what is up in the match. */
+function startOf(query, match) {
+  const [T_q, T_m] = [query, match].map((name) => matrixOf(model.submaps.get(name)?.t_odom_submap));
+  const turned = product(inverse(T_m), T_q).setPosition(0, 0, 0);
+  const up = new Vector3(0, 0, 1).transformDirection(inverse(T_m));
+  return { T_match_query: view?.relative(match, query) ?? turned, up };
+}
+
+/** A loop closure was registered from where a person put its query. */
+function registered(loop, isOpen) {
+  model.loops.set(loop.name, loop);
+  render();
+  if (isOpen) openPair(loop.name);
+}
+
 function openPair(name) {
   const loop = model.loops.get(name);
   if (!loop) return;
@@ -568,6 +609,7 @@ function openPair(name) {
 
 /** The next loop closure of the list, or the previous one. */
 function stepPair(by) {
+  if (pair.hand.isOn) return;
   const order = model.order ?? [];
   const at = order.indexOf(model.selected?.loop);
   const next = order[at < 0 ? 0 : (at + by + order.length) % order.length];
@@ -608,10 +650,11 @@ function setSearch(text) {
   renderSoon();
 }
 
-/** Put the tool away, or close what was chosen; where nothing is, end the search. */
+/** Put the tool away, or close what was chosen, or show every height; else end the search. */
 function stepBack() {
   if (tools?.isOn) tools.use("none");
   else if (model.selected) select(null);
+  else if (slice?.isOn) slice.use(false);
   else setSearch("");
 }
 
@@ -669,6 +712,13 @@ function floorOf(storey) {
   return (own.length ? own : all).reduce((least, z) => Math.min(least, z), Infinity);
 }
 
+/** With the keyboard, which goes on to the handles. */
+function cutOut() {
+  if (!view) return;
+  slice.use(!slice.isOn);
+  if (slice.isOn) byId("slice-low").focus();
+}
+
 const toggle = (current, other) => (byId("surface").querySelector("[aria-pressed=true]").dataset.surface === current ? setSurface(other) : setSurface(current));
 
 listen(
@@ -679,6 +729,7 @@ listen(
     [["Enter"], "open the chosen loop closure", () => model.selected?.loop && openPair(model.selected.loop)],
     [["b"], "before or after the loop closure", () => pair.slideTo(pair.share > 0.5 ? 0 : 1), true],
     [["v"], "keypoints of the loop closure, from above", () => pair.showSurface(pair.fromAbove ? "points" : "keypoints"), true],
+    [["h"], "move the query of an open loop closure by hand", () => pair.isOpen && pair.switchHand(), true],
     [["t"], "look from above", () => setView("top")],
     [["p"], "look tilted", () => setView("tilted")],
     [["f"], "show everything", () => setView("fit")],
@@ -687,6 +738,7 @@ listen(
     [["m"], "surfaces of the submaps", () => toggle("mesh", "none")],
     [["e"], "measure between two points", () => tools?.use(tools.tool === "measure" ? "none" : "measure")],
     [["l"], "join two submaps by hand", () => tools?.use(tools.tool === "join" ? "none" : "join")],
+    [["c"], "cut out a slice between two heights", cutOut],
     [["1"], "accepted loop closures", () => setStates("accepted")],
     [["2"], "ambiguous loop closures", () => setStates("ambiguous")],
     [["3"], "rejected loop closures", () => setStates("rejected")],
@@ -816,7 +868,10 @@ function connect() {
   byId("surface").addEventListener("click", ({ target }) => target.dataset.surface && setSurface(target.dataset.surface));
   byId("camera").addEventListener("click", ({ target }) => target.dataset.view && setView(target.dataset.view));
   byId("frames").addEventListener("click", ({ target }) => target.dataset.frames && setFrames(target.dataset.frames));
-  byId("lift").addEventListener("input", renderSoon);
+  byId("lift").addEventListener("input", () => {
+    slice?.use(false);
+    renderSoon();
+  });
   byId("until").addEventListener("input", renderSoon);
   byId("colour-by").addEventListener("change", ({ target }) => {
     model.colourBy = target.value;
@@ -875,6 +930,7 @@ try {
     placeFaults(of);
   });
   view.covered = coveredByTools;
+  view.onSurface = () => slice.refresh();
   connectStage();
 } catch {
   byId("view").hidden = true;
@@ -888,10 +944,11 @@ anchors = new AnchorList({
   submaps: () => [...model.submaps.values()],
   frame: () => model.frame,
 });
-tools = new Tools({ view, mapName: () => model.map, onJoined: joined });
+tools = new Tools({ view, mapName: () => model.map, onJoined: joined, onMove: (query, match) => pair.openByHand(query, match) });
+slice = new HeightSlice({ view, onChanged: sliced });
 plans = new Plans({ view, tools, frame: () => model.frame, heightOf: floorOf, lookDown });
 connect();
 run();
 
 /** For tests: where a submap is drawn, and what is drawn. */
-globalThis.revisitPage = { model, whereIs: (name) => view?.whereIs(name), view: () => view, openPair, select, pair, render };
+globalThis.revisitPage = { model, whereIs: (name) => view?.whereIs(name), view: () => view, slice: () => slice, openPair, select, pair, render };

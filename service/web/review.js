@@ -56,5 +56,6 @@ async function tellHistory(loop, history, back) {
 
 function entry(event) {
   const when = new Date(Number(event.at_ns) / 1e6).toLocaleString();
-  return element("li", {}, `${WORDS[event.kind]} by ${event.actor || "nobody known"}`, element("small", {}, event.note ? `${when}: ${event.note}` : when));
+  const start = event.details?.start ? ", from where it was put by hand" : "";
+  return element("li", {}, `${WORDS[event.kind]} by ${event.actor || "nobody known"}${start}`, element("small", {}, event.note ? `${when}: ${event.note}` : when));
 }

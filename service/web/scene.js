@@ -11,12 +11,13 @@ import { LineSegmentsGeometry } from "/vendor/three-0.187.0/LineSegmentsGeometry
 import { forgetWaiting, geometryOf } from "/clouds.js";
 import { RAMP } from "/colouring.js";
 import { themed } from "/colours.js";
-import { between, matrixOf, product } from "/frames.js";
+import { between, inverse, matrixOf, product } from "/frames.js";
 
 const NEAR_PX = 14;
 const NEAR_LOOP_PX = 7;
 const MOST_SURFACES = 250;
 const THROUGHOUT = new Set(["SCALE", "SLOPE", "HEADING"]);
+const [UP, DOWN] = [new THREE.Vector3(0, 0, 1), new THREE.Vector3(0, 0, -1)];
 const SHAPES = { DESCRIBED: 0, QUEUED: 1, FAILED: 2 };
 
 const DOTS = {
@@ -24,15 +25,20 @@ const DOTS = {
     attribute vec3 tint; attribute float shape; attribute float size;
     uniform float pixels;
     varying vec3 vTint; varying float vShape;
+    #include <clipping_planes_pars_vertex>
     void main() {
       vTint = tint; vShape = shape;
-      gl_Position = projectionMatrix * modelViewMatrix * vec4(position, 1.0);
+      vec4 mvPosition = modelViewMatrix * vec4(position, 1.0);
+      gl_Position = projectionMatrix * mvPosition;
       gl_PointSize = size * pixels;
+      #include <clipping_planes_vertex>
     }`,
   fragmentShader: `
     uniform vec3 paper;
     varying vec3 vTint; varying float vShape;
+    #include <clipping_planes_pars_fragment>
     void main() {
+      #include <clipping_planes_fragment>
       vec2 at = 2.0 * gl_PointCoord - 1.0;
       float r = length(at), soft = fwidth(r);
       float inside = 1.0 - smoothstep(0.98 - soft, 0.98, r);
@@ -47,6 +53,7 @@ const DOTS = {
       gl_FragColor = vec4(tint, inside);
       #include <colorspace_fragment>
     }`,
+  clipping: true,
 };
 
 /** The loop closures of one state as lines: how they look says what they are, without their colour, too. */
@@ -75,9 +82,13 @@ export class MapView {
     THREE.Object3D.DEFAULT_UP.set(0, 0, 1);
     this.canvas = canvas;
     this.onCamera = onCamera;
+    this.onSurface = () => {};
     this.covered = () => ({ top: 0, bottom: 0 });
     this.renderer = new THREE.WebGLRenderer({ canvas, antialias: true, powerPreference: "high-performance" });
     this.scene = new THREE.Scene();
+    this.ground = new THREE.Scene(); // what lies underneath, and is cut by no slice
+    this.slice = { low: -Infinity, high: Infinity };
+    this.planes = [];
     this.camera = new THREE.PerspectiveCamera(40, 1, 0.1, 50_000);
     this.camera.up.set(0, 0, 1);
     this.controls = new OrbitControls(this.camera, canvas);
@@ -96,7 +107,8 @@ export class MapView {
     this.dots = null;
     this.faultMarks = [];
     this.grid = null;
-    this.scene.add(this.plans, this.surfaces, this.paths, this.loops, this.changes, this.things, this.anchors, this.marks, this.rulers);
+    this.ground.add(this.plans);
+    this.scene.add(this.surfaces, this.paths, this.loops, this.changes, this.things, this.anchors, this.marks, this.rulers);
     this.scene.add(new THREE.HemisphereLight("#ffffff", "#66727e", 1.5));
     this.sun = new THREE.DirectionalLight("#ffffff", 1.5);
     this.sun.position.set(0.9, -1.2, 0.9);
@@ -239,7 +251,7 @@ export class MapView {
   /** Ground lines at round steps below everything that is drawn. */
   drawGrid() {
     if (this.grid) {
-      this.scene.remove(this.grid);
+      this.ground.remove(this.grid);
       this.grid.geometry.dispose();
     }
     this.grid = null;
@@ -255,7 +267,32 @@ export class MapView {
     this.grid.position.set(Math.round(centre.x / step) * step, Math.round(centre.y / step) * step, box.min.z - 0.02 * span - 1);
     this.grid.renderOrder = -1;
     this.grid.material.depthWrite = false;
-    this.scene.add(this.grid);
+    this.ground.add(this.grid);
+  }
+
+  /** Draw between two heights alone, metres, and let nothing else be picked: of all that does not lie underneath. */
+  cut(low, high) {
+    this.slice = { low, high };
+    this.planes = [Number.isFinite(low) && new THREE.Plane(UP, -low), Number.isFinite(high) && new THREE.Plane(DOWN, high)].filter(Boolean);
+    this.showStoreys();
+    this.draw();
+  }
+
+  /** Whether a point of the drawing (Vector3) is in the slice that is shown. */
+  isShown({ z }) {
+    return z >= this.slice.low && z <= this.slice.high;
+  }
+
+  /** A plan that lies above the slice hides nothing of it. */
+  showStoreys() {
+    for (const sheet of this.plans.children) sheet.visible = sheet.geometry.getAttribute("position").getZ(0) <= this.slice.high;
+  }
+
+  /** The heights between which nearly all lies that is drawn, metres: [low, high]; null for nothing. */
+  heights() {
+    const found = [...this.places.values()].map(({ at }) => at.z);
+    for (const { geometry, matrix } of this.surfaces.children) found.push(...geometry.userData.heights.map((height) => height + matrix.elements[14]));
+    return found.length ? [Math.min(...found), Math.max(...found)] : null;
   }
 
   extent() {
@@ -323,6 +360,7 @@ export class MapView {
     shown.matrixAutoUpdate = false;
     shown.matrix.copy(now.matrix);
     this.surfaces.add(shown);
+    this.onSurface();
     this.draw();
   }
 
@@ -347,10 +385,15 @@ export class MapView {
     return caster;
   }
 
+  /** Where a ray first meets points or a surface in the slice that is shown. */
+  firstShown(caster) {
+    return caster.intersectObjects(this.surfaces.children, false).find(({ point }) => this.isShown(point));
+  }
+
   /** What is under a point of the canvas: of the points or the surface, else a submap, else the ground; null for nothing. */
   pick(x, y) {
     const caster = this.casterThrough(x, y);
-    const [hit] = caster.intersectObjects(this.surfaces.children, false);
+    const hit = this.firstShown(caster);
     if (hit) return hit.point.clone();
     const near = this.nearest(x, y)?.submap;
     if (near) return this.places.get(near.name).at.clone();
@@ -430,21 +473,21 @@ export class MapView {
       for (const held of [sheet.material.map, sheet.material, sheet.geometry]) held.dispose();
     }
     for (const sheet of kept) this.plans.add(sheet);
+    this.showStoreys();
     this.draw();
   }
 
   /** What is under a point of the canvas: of the points or the surface, else the ground at a height; null for nothing. */
   pickGround(x, y, height) {
     const caster = this.casterThrough(x, y);
-    const [hit] = caster.intersectObjects(this.surfaces.children, false);
+    const hit = this.firstShown(caster);
     return hit?.point.clone() ?? caster.ray.intersectPlane(new THREE.Plane(new THREE.Vector3(0, 0, 1), -height), new THREE.Vector3());
   }
 
-  /** T_target_source of two submaps as they are drawn: x,y,z,qx,qy,qz,qw. */
+  /** T_target_source of two submaps as they are drawn; null where one is not. */
   relative(target, source) {
-    const [t, q, s] = [new THREE.Vector3(), new THREE.Quaternion(), new THREE.Vector3()];
-    product(this.places.get(target).matrix.clone().invert(), this.places.get(source).matrix).decompose(t, q, s);
-    return [...t.toArray(), ...q.toArray()].join(",");
+    const [at, from] = [target, source].map((name) => this.places.get(name)?.matrix);
+    return at && from ? product(inverse(at), from) : null;
   }
 
   nearestTo(point) {
@@ -459,7 +502,7 @@ export class MapView {
 
   project(at) {
     const seen = at.clone().project(this.camera);
-    return { x: ((seen.x + 1) / 2) * this.canvas.clientWidth, y: ((1 - seen.y) / 2) * this.canvas.clientHeight, hidden: seen.z > 1 };
+    return { x: ((seen.x + 1) / 2) * this.canvas.clientWidth, y: ((1 - seen.y) / 2) * this.canvas.clientHeight, hidden: seen.z > 1 || !this.isShown(at) };
   }
 
   /** The submap, else the loop closure, within reach of a point of the canvas: { submap } or { loop } or null. */
@@ -482,8 +525,8 @@ export class MapView {
 
   /** Look at everything; `view` top or tilted keeps to that direction, fit to the one there is. */
   fit(view = "tilted", names = null) {
-    const box = new THREE.Box3();
-    for (const [name, { at }] of this.places) if (!names || names.includes(name)) box.expandByPoint(at);
+    const points = this.chosen(names);
+    const box = new THREE.Box3().setFromPoints(points);
     if (box.isEmpty()) return;
     const centre = box.getCenter(new THREE.Vector3());
     const size = box.getSize(new THREE.Vector3());
@@ -494,12 +537,18 @@ export class MapView {
     this.camera.near = wide / 2000;
     this.camera.far = wide * 60;
     this.controls.target.copy(centre);
-    const points = [...this.places].filter(([name]) => !names || names.includes(name)).map(([, { at }]) => at);
     this.camera.position.copy(centre).addScaledVector(back, this.distanceTo(points, centre, back, wide));
     this.intoTheFree(back);
     this.camera.updateProjectionMatrix();
     this.controls.update();
     this.draw();
+  }
+
+  /** Where the submaps of these names are drawn, or all that are in the slice, or all. */
+  chosen(names) {
+    const at = [...this.places].filter(([name]) => !names || names.includes(name)).map(([, place]) => place.at);
+    const shown = at.filter((one) => this.isShown(one));
+    return shown.length ? shown : at;
   }
 
   /** Move the view by half of what tools cover more below than above: the middle lies between them then. */
@@ -564,7 +613,11 @@ export class MapView {
   paint() {
     cancelAnimationFrame(this.due);
     this.due = 0;
-    this.renderer.render(this.scene, this.camera);
+    const { renderer } = this;
+    Object.assign(renderer, { autoClear: true, clippingPlanes: [] });
+    renderer.render(this.ground, this.camera);
+    Object.assign(renderer, { autoClear: false, clippingPlanes: this.planes });
+    renderer.render(this.scene, this.camera);
     this.onCamera(this);
   }
 }
@@ -587,7 +640,9 @@ function sheetOf({ name, image }) {
 
 const RING = `
   varying vec3 vTint; varying float vShape;
+  #include <clipping_planes_pars_fragment>
   void main() {
+    #include <clipping_planes_fragment>
     float r = length(2.0 * gl_PointCoord - 1.0), soft = fwidth(r);
     float ring = smoothstep(0.74 - soft, 0.74, r) * (1.0 - smoothstep(0.98 - soft, 0.98, r));
     if (ring < 0.02) discard;
@@ -618,40 +673,52 @@ const overRamp = (value) => `
   ${value === "at.z" ? "" : `attribute float ${value};`}
   uniform float size, low, high; uniform vec3 stops[5];
   varying vec3 vTint;
+  #include <clipping_planes_pars_vertex>
   void main() {
     vec4 at = modelMatrix * vec4(position, 1.0);
     float share = clamp((${value} - low) / (high - low), 0.0, 1.0) * 4.0;
     vTint = stops[0];
     for (int stop = 0; stop < 4; stop++) vTint = mix(vTint, stops[stop + 1], clamp(share - float(stop), 0.0, 1.0));
-    gl_Position = projectionMatrix * viewMatrix * at;
+    vec4 mvPosition = viewMatrix * at;
+    gl_Position = projectionMatrix * mvPosition;
     gl_PointSize = size;
+    #include <clipping_planes_vertex>
   }`;
 
 const OWN_COLOURS = `
   attribute vec3 color;
   uniform float size;
   varying vec3 vTint;
+  #include <clipping_planes_pars_vertex>
   void main() {
     vTint = color;
-    gl_Position = projectionMatrix * modelViewMatrix * vec4(position, 1.0);
+    vec4 mvPosition = modelViewMatrix * vec4(position, 1.0);
+    gl_Position = projectionMatrix * mvPosition;
     gl_PointSize = size;
+    #include <clipping_planes_vertex>
   }`;
 
 const CLOUD = {
   vertexShader: `
     uniform float size, low, high; uniform vec3 below, above;
     varying vec3 vTint;
+    #include <clipping_planes_pars_vertex>
     void main() {
       vTint = mix(below, above, smoothstep(low, high, position.z));
-      gl_Position = projectionMatrix * modelViewMatrix * vec4(position, 1.0);
+      vec4 mvPosition = modelViewMatrix * vec4(position, 1.0);
+      gl_Position = projectionMatrix * mvPosition;
       gl_PointSize = size;
+      #include <clipping_planes_vertex>
     }`,
   fragmentShader: `
     varying vec3 vTint;
+    #include <clipping_planes_pars_fragment>
     void main() {
+      #include <clipping_planes_fragment>
       gl_FragColor = vec4(vTint, 1.0);
       #include <colorspace_fragment>
     }`,
+  clipping: true,
 };
 
 export const surfaceMaterial = (colour) => new THREE.MeshStandardMaterial({ color: colour, roughness: 0.85, metalness: 0, side: THREE.DoubleSide });

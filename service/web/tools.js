@@ -3,15 +3,19 @@
 
 import { KeyNeeded, Refused, send } from "/api.js";
 import { byId, element, press, shortName } from "/dom.js";
+import { poseText } from "/frames.js";
 
 const SAID = { measure: "Click two points", join: "Click two submaps that show the same place" };
 
 const metres = (length) => (length < 10 ? `${length.toFixed(2)} m` : `${length.toFixed(1)} m`);
 
-/** One tool at a time. `view` is the MapView, `mapName()` the map that is shown, `onJoined` hears of the loop closure. */
+/**
+ * One tool at a time. `view` is the MapView, `mapName()` the map that is shown; `onJoined` hears of the loop closure, `onMove` of
+ * two submaps one of which is to be moved by hand.
+ */
 export class Tools {
-  constructor({ view, mapName, onJoined }) {
-    Object.assign(this, { view, mapName, onJoined, tool: "none", points: [], ends: [], guest: null });
+  constructor({ view, mapName, onJoined, onMove }) {
+    Object.assign(this, { view, mapName, onJoined, onMove, tool: "none", points: [], ends: [], guest: null });
     byId("tools").addEventListener("click", ({ target }) => target.dataset.tool && this.use(this.tool === target.dataset.tool ? "none" : target.dataset.tool));
   }
 
@@ -67,7 +71,7 @@ export class Tools {
       join.disabled = true;
       said.textContent = "";
       try {
-        const guess = near.checked ? { T_match_query: this.view.relative(match.name, query.name) } : {};
+        const guess = near.checked ? { T_match_query: poseText(this.view.relative(match.name, query.name)) } : {};
         const answer = await send(`/v1/${this.mapName()}/loopClosures`, { query: query.name, match: match.name, note: note.value, ...guess });
         this.use("none");
         this.onJoined(answer.loop_closure);
@@ -76,11 +80,17 @@ export class Tools {
         join.disabled = false;
       }
     });
+    const move = element("button", { type: "button", class: "plain", onclick: () => this.move(query, match) }, "Move by hand");
     this.say(
       element("strong", {}, `${shortName(query.name)} \u2192 ${shortName(match.name)}`),
       element("label", { for: "as-drawn" }, near, " begin where they are drawn"),
-      element("div", { class: "actions" }, note, join, element("button", { type: "button", class: "plain", onclick: () => this.use("none") }, "Leave it"), said),
+      element("div", { class: "actions" }, note, join, move, element("button", { type: "button", class: "plain", onclick: () => this.use("none") }, "Leave it"), said),
     );
+  }
+
+  move(query, match) {
+    this.use("none");
+    this.onMove(query.name, match.name);
   }
 
   say(...what) {

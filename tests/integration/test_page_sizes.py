@@ -155,6 +155,23 @@ def test_what_is_drawn_of_a_loop_closure_is_not_covered_by_its_labels_and_tools(
     assert bottom - top <= 50
 
 
+def test_a_cloud_is_moved_by_hand_inside_the_window_and_its_tools_lie_beside_each_other(page):
+    page.tab.locator("#loops button").first.click()
+    page.tab.locator("#by-hand").click()
+    page.tab.wait_for_function("revisitPage.pair.match.children.length === 1 && revisitPage.pair.hand.isOn")
+    assert fits(page) and outside(page, "#pair") == []
+    assert on_each_other(page, ".pane-name.query", ".pane-name.match", ".panes .tools") == []
+    assert box_of(page, "#hand-go")[3] <= box_of(page, "#pair")[3], "it is there without scrolling"
+
+
+def test_the_handles_of_a_slice_lie_beside_the_other_tools(page):
+    page.tab.locator("#slice-on").click()
+    assert fits(page) and outside(page, "#slice") == []
+    assert on_each_other(page, "#slice", "#tools", "#caption", ".stage > .tools") == []
+    assert box_of(page, "#slice")[3] - box_of(page, "#slice")[1] <= 90
+    page.tab.locator("#slice-on").click()
+
+
 def test_the_list_of_keys_opens_inside_the_window(page):
     page.tab.evaluate("document.getElementById('help').showModal()")
     left, top, right, bottom = box_of(page, "#help")
