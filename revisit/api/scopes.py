@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from revisit.core.string_enum import StrEnum
+from enum import Enum
 
 
-class Scope(StrEnum):
+class Scope(str, Enum):  # noqa: UP042  # Python 3.10, where the client runs, has no StrEnum
     """A right of a credential. None includes another."""
 
     INGEST = "ingest"
     QUERY = "query"
     ADMIN = "admin"
+
+    __str__ = str.__str__
 
 
 INGEST = frozenset({Scope.INGEST})
