@@ -8,9 +8,9 @@ from revisit.cli.output import say
 
 def tables() -> None:
     """Print the tables of docs/explanation/beyond-one-database.md."""
-    from lab.installations.tables import fleet_table, parts_table, waits_table
+    from lab.installations.tables import affinity_table, fleet_table, parts_table, waits_table
 
-    for table in (parts_table(), waits_table(), fleet_table()):
+    for table in (parts_table(), waits_table(), fleet_table(), affinity_table()):
         say(table)
 
 

@@ -37,10 +37,18 @@ class Waits:
 
 def arrivals(robots: int, gap_s: float, duration_s: float, rng: np.random.Generator) -> Floats:
     """Moments, in order, at which robots that began at any time send something every `gap_s` or so."""
+    return moments_of_robots(robots, gap_s, duration_s, rng)[0]
+
+
+def moments_of_robots(
+    robots: int, gap_s: float, duration_s: float, rng: np.random.Generator
+) -> tuple[Floats, NDArray[np.int64]]:
+    """These moments, and which robot sends at each."""
     count = int(duration_s / gap_s)
     gaps = gap_s * rng.uniform(1 - JITTER, 1 + JITTER, (robots, count))
-    moments = rng.uniform(0, gap_s, (robots, 1)) + np.cumsum(gaps, axis=1)
-    return np.sort(moments.ravel())
+    moments = (rng.uniform(0, gap_s, (robots, 1)) + np.cumsum(gaps, axis=1)).ravel()
+    order = np.argsort(moments, kind="stable")
+    return moments[order], order // count
 
 
 def served(arrive_s: Floats, service_s: Floats, servers: int) -> Floats:

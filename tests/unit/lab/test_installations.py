@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from lab.installations.affinity import COLD_S, PLACES_KEPT, Claim, Job, Worker, simulated
 from lab.installations.directory import SITES, as_they_come, by_directory, by_hash, site_sizes
 from lab.installations.parts import bytes_a_day, parts
 from lab.installations.queueing import arrivals, served, waits
-from lab.installations.tables import fleet_table, parts_table, waits_table
+from lab.installations.tables import affinity_table, fleet_table, parts_table, waits_table
 from tests.support.processes import ROOT
 
 PAGE = (ROOT / "docs/explanation/beyond-one-database.md").read_text()
@@ -61,6 +62,32 @@ def test_the_database_is_the_first_part_that_cannot_be_added_to():
     assert f"{kept / 1e12:.1f} TB a day" in PAGE and f"{raw / 1e12:.0f} TB" in PAGE
 
 
-@pytest.mark.parametrize("table", [parts_table, waits_table, fleet_table], ids=["parts", "waits", "fleet"])
+def test_a_worker_reads_a_place_anew_once_it_has_used_as_many_others_as_it_keeps():
+    worker = Worker(0)
+    assert [worker.cold(Job(0.0, 0, asked)) for asked in ((1, 2), (2, 3), tuple(range(3, 99)), (1, 98))] == [
+        2,
+        1,
+        95,
+        1,
+    ]
+    assert len(worker.places) == PLACES_KEPT
+
+
+def test_a_worker_prefers_its_last_map_among_some_or_waits_for_the_jobs_of_its_own():
+    worker, waiting = Worker(1, last_map=7), [Job(0.0, one, ()) for one in (2, 7, 5)]
+    assert [worker.chosen(claim, waiting, 4) for claim in Claim] == [0, 1, 2]
+    assert [worker.chosen(claim, waiting[:1], 4) for claim in Claim] == [0, 0, None]
+
+
+def test_jobs_of_a_map_that_wait_for_its_own_worker_wait_longer_than_the_places_take_that_it_has_read():
+    anyone, own = (simulated(claim, 8, 8, 0.5, 60.0).row() for claim in (Claim.ANY, Claim.OWN_ONLY))
+    saved_s = COLD_S * (anyone[0] - own[0])
+    assert 0.0 < saved_s < own[1] - anyone[1]
+
+
+TABLES = {"parts": parts_table, "waits": waits_table, "fleet": fleet_table, "affinity": affinity_table}
+
+
+@pytest.mark.parametrize("table", TABLES.values(), ids=TABLES)
 def test_a_table_of_the_page_is_what_the_model_gives(table):
     assert table() in PAGE
