@@ -214,7 +214,8 @@ def records_for_writing(
     """`points` (n, 3) and their columns as records (n,) of x, y, z and a field for each column, for a file.
 
     float32, but for coordinates that are given more exactly and lie from `FAR_M` on, as those of a map in UTM do:
-    float64. A column keeps its type; colours are red, green and blue, or one field as PCL has it: `packed_colours`.
+    float64. A column has the type of its table, or float64 where times are no whole numbers; colours are red, green and
+    blue, or one field as PCL has it: `packed_colours`.
     Raises BadField for other shapes.
     """
     cloud = checked_for_writing(points, columns)
@@ -233,10 +234,10 @@ def _fields_of(columns: Columns, packed_colours: bool) -> Columns:
     """The columns as fields of one value each."""
     fields = dict[str, NDArray[Any]]()
     for name, values in columns.items():
-        if name == INTENSITY.name:
-            fields[name] = values.astype("<f4")
+        if name == TIME.name and values.dtype.kind == "f":
+            fields[name] = values.astype("<f8")
         elif name != RGB.name:
-            fields[name] = values
+            fields[name] = values.astype(f"<{column(name).kind}")
         elif packed_colours:
             red, green, blue = values.astype("<u4").T
             fields[name] = (red << 16 | green << 8 | blue).astype("<u4").view("<f4")

@@ -17,8 +17,10 @@ from revisit.core.codec import place as place_form
 from revisit.core.codec.mesh import unpack_mesh
 from revisit.core.errors import DataLoss, RevisitError
 from revisit.core.place import Place
+from revisit.core.point_columns import COLUMNS, usable, validated
 from revisit.core.scan import validate_cloud
 from revisit.formats import MEDIA_TYPES, CloudLimits, PackedCloud, decode_cloud, decode_content
+from revisit.formats.point_times import timed
 from revisit.service.domain.identity import DEFAULT_TENANT
 from revisit.service.features.ingest.clouds import unpack_cloud
 from revisit.service.features.resources.paging import PageTokens
@@ -41,7 +43,9 @@ def cloud(media_type: str) -> Target:
 
     def read(data: bytes) -> None:
         try:
-            points, report = validate_cloud(decode_cloud(data, media_type, limits=LIMITS).points)
+            cloud = decode_cloud(data, media_type, limits=LIMITS, wanted=COLUMNS)
+            points, report = validate_cloud(cloud.points)
+            validated(usable(timed(cloud.columns, 10**18), cloud.points), points)
         except RevisitError as error:
             if isinstance(error, DataLoss):
                 raise AssertionError("a client's bytes are no stored data") from error

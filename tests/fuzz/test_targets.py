@@ -16,7 +16,7 @@ from revisit.core.codec import neural_map as codec
 from revisit.core.codec import place as place_form
 from revisit.core.codec.mesh import Mesh, pack_mesh
 from revisit.core.errors import DataLoss
-from revisit.formats import MEDIA_TYPES, QUANTISED
+from revisit.formats import MEDIA_TYPES, PCD, PLY, QUANTISED, encode_pcd, encode_ply, encode_quantised
 from revisit.service.features.ingest.clouds import StoredCloud, pack_cloud
 from tests.fuzz.targets import DIGEST_BYTES, FILES, TARGETS, refusing
 from tests.support.campaigns import Campaign
@@ -32,6 +32,11 @@ def seeds() -> dict[str, list[bytes]]:
     by_type = {media_type: [] for media_type in MEDIA_TYPES}
     for media_type, data in valid_files(values).values():
         by_type[media_type].append(data)
+    number = np.arange(120)
+    colours = np.column_stack([number, number, number]).astype(np.uint8)
+    columns = {"ring": number, "time": number * 10**6, "rgb": colours}
+    for media_type, encode in ((PCD, encode_pcd), (PLY, encode_ply), (QUANTISED, encode_quantised)):
+        by_type[media_type].append(encode(values[:, :3], columns))
     triangle = Mesh(values[:3, :3], np.tile(np.float32([0, 0, 1]), (3, 1)), np.array([[0, 1, 2]], dtype=np.int32))
     stored = a_place(values[:8, :2]).to_blob()
     neural_map = codec.pack({"count": 0}, [b"abc", b""])
