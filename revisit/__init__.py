@@ -3,6 +3,7 @@
     client = Client()                                # REST on http://127.0.0.1:8080
     client = Client.grpc("127.0.0.1:8090")           # the same calls over gRPC
     client = AsyncClient()                           # the same calls, each awaited
+    PointCloud(points, {"ring": ring})               # points with columns, wherever points are taken
     with within(2.0): ...                            # calls that take 2 s together at most
     picture(client, "town")                          # shown in a notebook
 

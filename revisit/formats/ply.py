@@ -46,7 +46,8 @@ _CODES = {
     "double": "f8",
     "float64": "f8",
 }
-_TYPES = {code: name for name, code in reversed(_CODES.items()) if not name[-1].isdigit()}
+_TYPES = {"f4": "float", "f8": "double", "u1": "uchar", "u2": "uint16", "i4": "int"}
+"""The types of what is written; Open3D reads 16 bits by this name alone."""
 _ORDERS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
 
 

@@ -35,7 +35,7 @@ _OF_SUBMAP: dict[int, tuple[DownloadKind, str | None]] = {
     submap_pb2.DownloadSubmapRequest.MESH: (DownloadKind.MESH, None),
     submap_pb2.DownloadSubmapRequest.GLB: (DownloadKind.MESH, "glb"),
     submap_pb2.DownloadSubmapRequest.NEURAL: (DownloadKind.NEURAL, None),
-    submap_pb2.DownloadSubmapRequest.DESCRIPTOR: (DownloadKind.DESCRIPTOR, None),
+    submap_pb2.DownloadSubmapRequest.Format.Value("DESCRIPTOR"): (DownloadKind.DESCRIPTOR, None),  # else the message's
 }
 _OF_TILE: dict[int, tuple[DownloadKind, str | None]] = {
     map_tile_pb2.DownloadMapTileRequest.PCD: (DownloadKind.POINTS, "pcd"),

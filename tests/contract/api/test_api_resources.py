@@ -79,6 +79,7 @@ def test_the_full_view_of_a_submap_has_the_descriptor_to_search_with(client, ses
     name = client.wait(post(client, session)).subject
     assert client.get_submap(name).descriptor == ()
     submap = client.get_submap(name, full=True)
+    np.testing.assert_array_equal(np.load(io.BytesIO(client.download(name, "descriptor"))), submap.descriptor)
     assert np.linalg.norm(submap.descriptor) == pytest.approx(1.0, abs=1e-5)
     hits = client.search(town, descriptor=submap.descriptor, model_version=submap.model_version)
     assert [(hit.submap, round(hit.similarity, 5)) for hit in hits] == [(name, 1.0)]

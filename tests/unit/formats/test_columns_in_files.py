@@ -80,8 +80,7 @@ def test_open3d_reads_colours_rings_and_times(tmp_path, extension, encode):
     found = o3d.t.io.read_point_cloud(str(file)).point
     np.testing.assert_array_equal(found["positions"].numpy(), POINTS)
     np.testing.assert_array_equal(found["colors"].numpy(), SENT["rgb"])
-    names = ("intensity", "ring", "time") if extension == "pcd" else ("intensity", "time")  # it skips 16 bits of PLY
-    for name in names:
+    for name in ("intensity", "ring", "time"):
         np.testing.assert_array_equal(found[name].numpy()[:, 0], GIVEN_OUT[name])
 
 
