@@ -8,6 +8,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, cast
 
+from revisit.core.point_columns import COLUMNS, PointColumn
+
 ROOT = Path(__file__).resolve().parent.parent
 
 INSIDE = {"RevisitError", "Unavailable", "StaleLease", "OutOfTurn"}
@@ -210,6 +212,11 @@ def sdk() -> str:
             '`picture(client, "town")` is a drawing of a map that a notebook shows; `.save(file)` writes it as SVG. '
             "`to_dataframe(resources)` is a table of pandas."
         ),
+        (
+            "Points are (n, 3) in metres, (n, 4) with intensity, or `PointCloud(points, columns)`, columns by name: "
+            f"{', '.join(map(_column, COLUMNS.values()))}. A column out of range raises BadField. Downloads as pcd and "
+            "ply hold them, with times in seconds since 1970 on the clock of `stamp_ns`; npy holds intensity alone."
+        ),
     ]
     # Nothing is called here: the transport is not used.
     client = Client(transport=cast(Any, None))
@@ -225,6 +232,12 @@ def sdk() -> str:
     for name in CALLS_OF_CLIENT:
         parts += [f"### client.{name}", _arguments(getattr(Client, name)), _paragraphs(getattr(Client, name))]
     return _page(parts)
+
+
+def _column(column: PointColumn) -> str:
+    """A column in words: its name, range, unit and shape."""
+    channels = f", (n, {column.channels})" if column.channels > 1 else ""
+    return f"`{column.name}` ({column.low:,} to {column.high:,}, {column.unit}{channels})"
 
 
 def _arguments(function: Any) -> str:
