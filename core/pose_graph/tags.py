@@ -34,7 +34,7 @@ MISREAD_M, MISREAD_RATIO = 0.3, 3
 where the drive saw its id elsewhere as much more often.
 """
 
-TWO_PLACES_M = 2.0
+TWO_PLACES_M, TWO_PLACES_SHARE = 2.0, 0.05
 """A drive that sees a tag so far from where it saw it before, farther than it drifts, sees another one of its id."""
 
 SAME_PLACE_M = 1.0
@@ -172,7 +172,7 @@ def _is_there(one: TagPass, other: TagPass) -> bool:
 
 def _are_two(one: TagPass, other: TagPass) -> bool:
     """Whether two passes of a drive saw two tags of one id, however it has drifted in between."""
-    may_m = TWO_PLACES_M + SPOT_SHARE * abs(one.along_m - other.along_m) + SIGMAS * (one.sigma_m + other.sigma_m)
+    may_m = TWO_PLACES_M + TWO_PLACES_SHARE * abs(one.along_m - other.along_m) + SIGMAS * (one.sigma_m + other.sigma_m)
     return bool(one.tag == other.tag and np.linalg.norm(one.point_odom - other.point_odom) > may_m)
 
 

@@ -93,7 +93,7 @@ def list_anchors(
         return
     holding = sum(one.state == "IN_MAP" for one in found)
     emit_table(
-        f"{holding} of {counted(len(found), 'anchor')} hold the map",
+        f"{holding} of {counted(len(found), 'anchor')} {'agree' if any(one.tag for one in found) else 'hold the map'}",
         ("kind", *COLUMNS),
         [_listed(one) for one in found],
     )

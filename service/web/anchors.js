@@ -60,7 +60,8 @@ export class AnchorList {
 
   render() {
     const holding = this.found.filter((one) => stateOf(one) === "IN_MAP").length;
-    byId("anchors-count").textContent = this.found.length ? `${holding} of ${this.found.length} hold the map` : "";
+    const verb = this.found.some((one) => one.tag) ? "agree" : "hold the map";
+    byId("anchors-count").textContent = this.found.length ? `${holding} of ${this.found.length} ${verb}` : "";
     byId("anchor-list").replaceChildren(...this.found.slice(0, SHOWN).map(row));
     this.say(this.summary());
     this.draw();
@@ -140,6 +141,6 @@ function row(one) {
     "li",
     { "data-state": state, title: why || null },
     element("i", { class: `thing ${state.toLowerCase().replaceAll("_", "-")}` }),
-    element("span", {}, `${lastOf(one.name)}${one.tag ? ` (${one.tag})` : ""}: ${STATES[state].toLowerCase()}${off}`, element("small", {}, [lastOf(sessionOf(one.name)), why].filter(Boolean).join(" \u00b7 "))),
+    element("span", {}, `${lastOf(one.name)}${one.tag ? ` (${one.tag})` : ""}: ${state === "IN_MAP" && one.tag ? "agrees" : STATES[state].toLowerCase()}${off}`, element("small", {}, [lastOf(sessionOf(one.name)), why].filter(Boolean).join(" \u00b7 "))),
   );
 }

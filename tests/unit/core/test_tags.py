@@ -77,3 +77,11 @@ def test_a_tag_that_is_read_for_another_once_of_four_times_is_misread(place):
     found = reasons(*right, *others, wrong)
     assert found[-1] is AnchorReason.MISREAD and AnchorReason.MISREAD not in found[:-1]
     assert AnchorReason.TWO_PLACES not in found
+
+
+@pytest.mark.parametrize(("off_m", "reasons_of_it"), [(9.0, set()), (25.0, {"7"})], ids=["drift", "another tag"])
+def test_odometry_that_drifts_by_a_twentieth_of_its_way_makes_no_tag_two(off_m, reasons_of_it):
+    way_back = np.concatenate([POSES, POSES[::-1]])
+    first = sighting("a", 2, "7", HERE)
+    last = replace(sighting("a", 2, "7", (12.0, 2.0 + off_m, 0.5)), name="again", node=Node("a", 37))
+    assert TaggedDrive(way_back, [first, last]).doubled == reasons_of_it
