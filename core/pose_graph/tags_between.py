@@ -6,6 +6,8 @@ agree, so that one that was misread or moved says nothing (docs/decisions/0369).
 
 from __future__ import annotations
 
+import cmath
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
@@ -74,11 +76,11 @@ class _Common:
 
 @dataclass(frozen=True)
 class _Laid:
-    """The odometry of the query in that of the match: turn, radians, about `about` there, which lies at `at` here, and
-    rise; how far the tags that tell it lie from their middle, and how sure each is.
+    """The odometry of the query in that of the match: turned by the angle of a complex number of length 1 about `about`
+    there, which lies at `at` here, and rise; how far the tags that tell it lie from their middle, and how sure each is.
     """
 
-    turn_rad: float
+    turned: complex
     about: complex
     at: complex
     rise_m: float
@@ -92,18 +94,39 @@ class _Laid:
         weights /= weights.sum()
         matches, queries = (np.array(points) for points in ([one.match for one in some], [one.query for one in some]))
         at, about = weights @ matches, weights @ queries
-        turn = float(np.angle(np.vdot(queries - about, weights * (matches - at))))
-        off_m = np.abs(matches - at - (queries - about) * np.exp(1j * turn))
+        turned = complex(np.vdot(queries - about, weights * (matches - at)))
+        turned /= abs(turned)
+        off_m = np.abs(matches - at - (queries - about) * turned)
         rises_m = np.array([one.rise_m for one in some])
         rise_m = float(weights @ rises_m)
         rms_m = float(np.sqrt(weights @ off_m**2 + weights @ (rises_m - rise_m) ** 2))
         spread_m = float(np.sqrt(weights @ np.abs(queries - about) ** 2))
         stated_m = float(np.median([one.sigma_m for one in some]))
-        return cls(turn, complex(about), complex(at), rise_m, spread_m, float(np.hypot(stated_m, rms_m)))
+        return cls(turned, complex(about), complex(at), rise_m, spread_m, float(np.hypot(stated_m, rms_m)))
+
+    @classmethod
+    def by_two(cls, one: _Common, other: _Common) -> _Laid | None:
+        """As two tags lie; None where they are too near to each other, or farther apart on one drive than the other."""
+        here, there = one.match - other.match, one.query - other.query
+        slack_m = one.slack_m + other.slack_m
+        if one.tag == other.tag or min(abs(here), abs(there)) < LEAST_APART_M or abs(abs(here) - abs(there)) > slack_m:
+            return None
+        if abs(one.rise_m - other.rise_m) > slack_m:
+            return None
+        share = other.sigma_m**2 / (one.sigma_m**2 + other.sigma_m**2)
+        turned = here / there
+        return cls(
+            turned / abs(turned),
+            other.query + share * there,
+            other.match + share * here,
+            other.rise_m + share * (one.rise_m - other.rise_m),
+            abs(there) * math.sqrt(share * (1.0 - share)),
+            math.sqrt(one.sigma_m * other.sigma_m),
+        )
 
     def place(self, query: complex) -> complex:
         """A point of the query's odometry in that of the match."""
-        return complex(self.at + (query - self.about) * np.exp(1j * self.turn_rad))
+        return self.at + (query - self.about) * self.turned
 
     def agreeing(self, common: Sequence[_Common]) -> list[_Common]:
         """Of each tag the one that lies here nearest to where the other drive has it, of those that agree."""
@@ -202,17 +225,8 @@ def _laid(common: Sequence[_Common]) -> _Laid | None:
 
 def _most(common: Sequence[_Common]) -> list[_Common]:
     """The most tags that lie in one way; none where no two do."""
-    found = (laid.agreeing(common) for pair in combinations(common, 2) if (laid := _by_two(*pair)) is not None)
+    found = (laid.agreeing(common) for pair in combinations(common, 2) if (laid := _Laid.by_two(*pair)) is not None)
     return max(found, key=len, default=[])
-
-
-def _by_two(one: _Common, other: _Common) -> _Laid | None:
-    """As two tags lie; None where they are too near to each other, or farther apart on one drive than on the other."""
-    here_m, there_m = abs(one.match - other.match), abs(one.query - other.query)
-    slack_m = one.slack_m + other.slack_m
-    if one.tag == other.tag or min(here_m, there_m) < LEAST_APART_M or abs(here_m - there_m) > slack_m:
-        return None
-    return _Laid.of((one, other)) if abs(one.rise_m - other.rise_m) <= slack_m else None
 
 
 def _between(laid: _Laid, T_odom_match: Array64, T_odom_query: Array64) -> Between:
@@ -224,7 +238,7 @@ def _between(laid: _Laid, T_odom_match: Array64, T_odom_query: Array64) -> Betwe
         np.array([place.real, place.imag]),
         float(T_odom_query[2, 3] + laid.rise_m - T_odom_match[2, 3]),
         T_odom_match[:3, :3],
-        se3.from_yaw(laid.turn_rad)[:3, :3] @ T_odom_query[:3, :3],
+        se3.from_yaw(cmath.phase(laid.turned))[:3, :3] @ T_odom_query[:3, :3],
         OWN_ERROR_M + SIGMAS * sigma_m,
         OWN_ERROR_M + SIGMAS * laid.sigma_m,
         SAME_TURN_RAD + SIGMAS * turn_sigma,
