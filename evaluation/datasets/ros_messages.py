@@ -17,7 +17,8 @@ from revisit.evaluation.datasets.bag_message import Encoding
 from revisit.formats.cloud import TIME_FIELDS, CloudLimits, field_names
 from revisit.formats.point_times import point_offsets, timed
 from revisit.formats.pointcloud2 import (
-    FieldType,
+    LIVOX_POINT,
+    LIVOX_POINT_BYTES,
     PackedCloud,
     PointField,
     columns_of_points,
@@ -38,13 +39,6 @@ FIX_TYPES = ("sensor_msgs/msg/NavSatFix",)
 TRANSFORM_TYPES = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 MAX_FIELDS = 64
 COORDINATES = ("x", "y", "z")
-LIVOX_POINT = (
-    PointField("offset_time", 0, FieldType.UINT32),
-    *(PointField(name, 4 + 4 * index, FieldType.FLOAT32) for index, name in enumerate(COORDINATES)),
-    PointField("reflectivity", 16, FieldType.UINT8),
-    PointField("line", 18, FieldType.UINT8),
-)
-LIVOX_POINT_BYTES = 19
 MAX_TRANSFORMS = 10_000
 MAX_PATH_POSES = 10_000_000
 

@@ -98,6 +98,16 @@ class PointField:
         return self.offset + int(self.code[1]) * self.count
 
 
+LIVOX_POINT = (
+    PointField("offset_time", 0, FieldType.UINT32),
+    *(PointField(name, 4 + 4 * index, FieldType.FLOAT32) for index, name in enumerate("xyz")),
+    PointField("reflectivity", 16, FieldType.UINT8),
+    PointField("line", 18, FieldType.UINT8),
+)
+"""Of a CustomMsg of Livox's drivers: nanoseconds since the first point, metres; at byte 17 there is a tag."""
+LIVOX_POINT_BYTES = 19
+
+
 @dataclass(frozen=True)
 class PackedCloud:
     """A cloud as it travels: where the fields lie in each point, and the bytes of all points."""

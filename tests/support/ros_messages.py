@@ -110,7 +110,7 @@ class Messages:
         point, vector = self.types["geometry_msgs/msg/Point"], self.types["geometry_msgs/msg/Vector3"]
         fields = {"on_earth": False, "latitude_deg": 0.0, "longitude_deg": 0.0, "altitude_m": 0.0,
                   "local_m": (0.0, 0.0, 0.0), "sigma_m": (0.02, 0.02, 0.05),
-                  "heading_rad": 0.0, "heading_sigma_rad": 0.0} | told  # fmt: skip
+                  "heading_rad": 0.0, "heading_sigma_rad": 0.0, "tag": ""} | told  # fmt: skip
         fields |= {"local_m": point(*fields["local_m"]), "sigma_m": vector(*fields["sigma_m"])}
         seen = self.types["geometry_msgs/msg/PointStamped"](self.header(stamp_ns, frame), point(*at))
         kind = "revisit_msgs/msg/AddAnchor_Request"

@@ -1,4 +1,4 @@
-"""The service `add_anchor`: a person or a detector says where a point that the robot sees lies in the world."""
+"""The service `add_anchor`: a person or a detector says where a point that the robot sees lies, or which tag it is."""
 
 from __future__ import annotations
 
@@ -19,17 +19,22 @@ def sighting_of(request: Any, last_scan_ns: int) -> Sighting:
     sigmas_m = _three(request.sigma_m, "sigma_m")
     if min(sigmas_m) <= 0.0:
         raise BadField("sigma_m must hold three positive standard deviations, metres", field="sigma_m")
-    heading = (float(request.heading_rad), float(request.heading_sigma_rad)) if request.heading_sigma_rad else None
-    geodetic, local_m = _place(request)
+    heading = (float(request.heading_rad), float(request.heading_sigma_rad)) if _has_heading(request) else None
+    geodetic, local_m = (None, None) if request.tag else _place(request)
+    kind = "FIDUCIAL" if request.tag else "CONTROL_POINT" if heading is None else "KNOWN_POSE"
 
     def made(T_odom_sensor: se3.Matrix4, offset_m: Place) -> NewAnchor:
         return NewAnchor(
-            anchor_id, "CONTROL_POINT" if heading is None else "KNOWN_POSE", at_ns, sigmas_m,
+            anchor_id, kind, at_ns, sigmas_m, tag=request.tag or None,
             geodetic=geodetic, local_m=local_m, offset_m=offset_m, T_odom_sensor=T_odom_sensor,
             heading_rad=heading and heading[0], heading_sigma_rad=heading and heading[1],
         )  # fmt: skip
 
     return Sighting(at_ns, frame(request.point.header.frame_id), made, _three(request.point.point, "point"))
+
+
+def _has_heading(request: Any) -> bool:
+    return not request.tag and request.heading_sigma_rad != 0.0
 
 
 def _place(request: Any) -> tuple[Place | None, Place | None]:

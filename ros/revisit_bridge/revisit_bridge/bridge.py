@@ -19,7 +19,7 @@ from revisit.sdk.errors import ApiError
 from revisit.sdk.resources import Relocalisation
 from revisit_bridge.anchor_request import sighting_of
 from revisit_bridge.answers import Answers, News, Newsroom
-from revisit_bridge.messages import cloud_of, fix_of, pose_of
+from revisit_bridge.messages import cloud_of, fix_of, pose_of, received
 from revisit_bridge.outbox import Outbox
 from revisit_bridge.pairing import Mountings, OdometryPoses, PosedCloud, TransformPoses, WaitingClouds
 from revisit_bridge.parameters import Parameters, require_storey
@@ -116,8 +116,8 @@ class Bridge:
         self.work()
 
     def take_cloud(self, message: Any) -> None:
-        """A sensor_msgs/PointCloud2."""
-        self._clouds.take(message)
+        """A sensor_msgs/PointCloud2, or a CustomMsg of Livox's drivers."""
+        self._clouds.take(received(message))
         self.work()
 
     def take_fix(self, message: Any) -> None:

@@ -14,7 +14,7 @@ from revisit.core.geometry.deskew import SweepMotion, deskewed, knots
 from revisit.core.point_columns import at_rows, usable
 from revisit.formats.cloud import CloudLimits
 from revisit.formats.point_times import point_offsets, timed
-from revisit.formats.pointcloud2 import PackedCloud, PointField, decode_packed
+from revisit.formats.pointcloud2 import LIVOX_POINT, LIVOX_POINT_BYTES, PackedCloud, PointField, decode_packed
 from revisit.formats.satellite_fix import SatelliteFix
 from revisit.sdk.clouds import PointCloud
 
@@ -29,6 +29,28 @@ class StampedPose:
     parent: str
     child: str
     T_parent_child: se3.Matrix4
+
+
+@dataclass(frozen=True)
+class LivoxCloud:
+    """A CustomMsg of Livox's drivers, its points side by side."""
+
+    header: Any
+    packed: PackedCloud
+
+
+def received(message: Any) -> Any:
+    """A sensor_msgs/PointCloud2 as it is; a CustomMsg as a LivoxCloud, made once, for each point is an object there."""
+    return message if hasattr(message, "fields") else LivoxCloud(message.header, _packed_livox(message.points))
+
+
+def _packed_livox(points: Collection[Any]) -> PackedCloud:
+    kind = np.dtype({
+        "names": [column.name for column in LIVOX_POINT], "formats": ["<u4", "<f4", "<f4", "<f4", "u1", "u1"],
+        "offsets": [column.offset for column in LIVOX_POINT], "itemsize": LIVOX_POINT_BYTES,
+    })  # fmt: skip
+    rows = [(point.offset_time, point.x, point.y, point.z, point.reflectivity, point.line) for point in points]
+    return PackedCloud(LIVOX_POINT, LIVOX_POINT_BYTES, len(rows), np.array(rows, dtype=kind).tobytes())
 
 
 def stamp_ns(header: Any) -> int:
@@ -69,6 +91,8 @@ def knots_of(cloud: Any) -> NDArray[np.int64] | None:
 
 
 def _packed(cloud: Any) -> PackedCloud:
+    if isinstance(cloud, LivoxCloud):
+        return cloud.packed
     columns = tuple(PointField(item.name, item.offset, item.datatype, item.count) for item in cloud.fields)
     return PackedCloud(
         columns, cloud.point_step, cloud.width, _rows(cloud), height=cloud.height, big_endian=bool(cloud.is_bigendian)

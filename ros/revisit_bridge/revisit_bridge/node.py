@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import logging
 import threading
 import time
@@ -149,7 +150,7 @@ class BridgeParts:
 
     def _subscribe(self: Any) -> None:
         own = self.parameters
-        inputs = [(PointCloud2, own.cloud_topic, self.bridge.take_cloud)]
+        inputs = [(_cloud_class(own.cloud_type), own.cloud_topic, self.bridge.take_cloud)]
         if own.odometry_topic:
             inputs.append((Odometry, own.odometry_topic, self.bridge.take_odometry))
         if own.fix_topic:
@@ -291,6 +292,12 @@ class BridgeParts:
         except ValueError as error:
             return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)
+
+
+def _cloud_class(cloud_type: str) -> Any:
+    """The class of a message; that of Livox is of the driver's own package, which is looked for where it is named."""
+    package, _, name = cloud_type.partition("/")
+    return PointCloud2 if package == "sensor_msgs" else getattr(importlib.import_module(f"{package}.msg"), name)
 
 
 class BridgeNode(BridgeParts, Node):

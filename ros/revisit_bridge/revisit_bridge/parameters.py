@@ -12,6 +12,7 @@ if TYPE_CHECKING:
 from revisit.core.point_columns import COLUMNS, INTENSITY
 
 LONGEST_STOREY = 64
+CLOUD_TYPES = ("sensor_msgs/PointCloud2", "livox_ros_driver2/CustomMsg", "livox_interfaces/CustomMsg")
 
 
 def _parameter(default: Any, meaning: str) -> Any:
@@ -34,6 +35,10 @@ class Parameters:
     spool_dir: str = _parameter("", "folder for scans that wait for the service; empty: ~/.revisit/spool")
     spool_max_mb: int = _parameter(4096, "MB that the clouds of one session may take on this disk")
     cloud_topic: str = _parameter("points", "sensor_msgs/PointCloud2 in the frame of the sensor")
+    cloud_type: str = _parameter(
+        "sensor_msgs/PointCloud2",
+        "or a package's message of Livox: livox_ros_driver2/CustomMsg, livox_interfaces/CustomMsg",
+    )
     deskew: bool = _parameter(
         True, "move points that have times to the stamp of their cloud; false: it was done before"
     )
@@ -79,6 +84,8 @@ class Parameters:
         for name in ("cloud_topic", "map_id", "robot_id", "odom_frame", "map_frame"):
             if not getattr(self, name):
                 raise ValueError(f"{name} must not be empty")
+        if self.cloud_type not in CLOUD_TYPES:
+            raise ValueError(f"cloud_type must be one of {', '.join(CLOUD_TYPES)}, got {self.cloud_type!r}")
         if self.send not in ("described", "all"):
             raise ValueError(f"send must be described or all, got {self.send!r}")
         if self.map_frame == self.odom_frame:

@@ -8,12 +8,13 @@ import pytest
 pytest.importorskip("rosbags", reason="in the extra `dev`: gives the messages' types")
 
 from revisit_bridge.bridge import Bridge
-from revisit_bridge.messages import cloud_of, points_of, pose_of
+from revisit_bridge.messages import cloud_of, points_of, pose_of, received
 from revisit_bridge.pairing import OdometryPoses, TransformPoses, Unknown, WaitingClouds
 from revisit_bridge.parameters import Parameters
 
 from revisit.core.errors import BadTransform, RevisitError
 from revisit.core.geometry import se3
+from tests.support.bag_layouts import Layout
 from tests.support.ros_messages import Messages
 
 SECOND = 10**9
@@ -183,6 +184,32 @@ def test_a_cloud_without_a_pose_is_left_out_in_time_and_counted(ros) -> None:
     assert clouds.left_out == 2  # there was no room for them
     clock[0] = 2.1
     assert clouds.ready() == [] and clouds.left_out == 5
+
+
+def livox(points: np.ndarray, stamp: int, offsets_ns: np.ndarray):
+    """A CustomMsg of Livox's driver."""
+    store = Layout().livox("/livox").store
+    point, cloud = (store.types[f"livox_ros_driver2/msg/{name}"] for name in ("CustomPoint", "CustomMsg"))
+    rows = [
+        point(int(offset), *row, reflectivity=index % 256, tag=16, line=index % 4)
+        for index, (offset, row) in enumerate(zip(offsets_ns, points, strict=True))
+    ]
+    header = Messages().header(stamp, "base_link")
+    return cloud(header, timebase=stamp, point_num=len(rows), lidar_id=1, rsvd=np.zeros(3, np.uint8), points=rows)
+
+
+def test_clouds_of_livox_are_read_and_deskewed(ros) -> None:
+    stamp = 2 * SECOND // 10
+    at_once, cloud = sweep(ros, stamp)
+    seen = points_of(cloud)
+    message = received(livox(seen, stamp, np.arange(300) * 300_000))
+    read = cloud_of(message, columns=("intensity", "ring"))
+    assert np.array_equal(read.points, seen)
+    assert read.columns["intensity"][:3].tolist() == [0, 1, 2] and read.columns["ring"][:5].tolist() == [0, 1, 2, 3, 0]
+    waiting = WaitingClouds(odometry_at(ros, 1, 2, 3), 2.0, max_waiting=3, now_s=lambda: 0.0, deskew=True)
+    waiting.take(message)
+    (posed,) = waiting.ready()
+    assert np.abs(points_of(posed.cloud, posed.motion) - at_once).max() < 2e-3
 
 
 class SentScans(list):

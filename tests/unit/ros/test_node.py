@@ -300,6 +300,18 @@ def test_fixes_are_taken_where_a_topic_is_named_and_what_waits_is_told(made, mon
         node.destroy_node()
 
 
+def test_clouds_of_livox_are_subscribed_to_by_the_message_of_its_driver(made, monkeypatch) -> None:
+    kind, driver = type("CustomMsg", (), {}), ModuleType("livox_ros_driver2.msg")
+    driver.CustomMsg = kind
+    monkeypatch.setitem(sys.modules, "livox_ros_driver2", ModuleType("livox_ros_driver2"))
+    monkeypatch.setitem(sys.modules, "livox_ros_driver2.msg", driver)
+    monkeypatch.setattr(FakeNode, "overrides", FakeNode.overrides | {"cloud_type": "livox_ros_driver2/CustomMsg"})
+    made[1].destroy_node()
+    node = sys.modules["revisit_bridge.node"].BridgeNode()
+    assert node.subscriptions_made["points"][0] is kind
+    node.destroy_node()
+
+
 def test_a_point_is_added_by_a_service_and_kept(made) -> None:
     ros, node, _ = made
     asked = ros.add_anchor("door-7", (4.0, 0.0, 0.0), local_m=(1.0, 2.0, 3.0))

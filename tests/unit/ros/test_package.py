@@ -42,6 +42,7 @@ def test_what_the_node_imports_is_declared() -> None:
     needed |= imports(BRIDGE / "revisit_bridge/lifecycle_node.py")
     python = {
         "collections",
+        "importlib",
         "logging",
         "threading",
         "time",
@@ -89,7 +90,14 @@ def test_rviz_shows_topics_that_the_node_has() -> None:
 
 @pytest.mark.parametrize(
     "wrong",
-    [{"poll_s": 0.0}, {"cloud_topic": ""}, {"map_frame": "odom"}, {"max_gap_s": -1.0}, {"grid_m": -0.1}],
+    [
+        {"poll_s": 0.0},
+        {"cloud_topic": ""},
+        {"map_frame": "odom"},
+        {"max_gap_s": -1.0},
+        {"grid_m": -0.1},
+        {"cloud_type": "a/B"},
+    ],
     ids=str,
 )
 def test_parameters_that_cannot_be_are_refused(wrong) -> None:

@@ -254,6 +254,14 @@ def test_a_point_on_earth_in_a_frame_of_the_robot_with_a_heading(robot) -> None:
     assert (anchor.heading_rad, anchor.heading_sigma_rad) == (0.5, 0.01)
 
 
+def test_a_tag_of_unknown_place_is_a_fiducial(robot) -> None:
+    robot.scan(START, 7.0)
+    assert robot.bridge.add_anchor(robot.point(tag="tag36h11:17", on_earth=True, heading_sigma_rad=0.1))[0]
+    (tag,) = robot.anchors
+    assert (tag.kind, tag.tag, tag.geodetic, tag.local_m) == ("FIDUCIAL", "tag36h11:17", None, None)
+    assert tag.offset_m == (4.0, 0.0, 0.0) and tag.heading_rad is None
+
+
 def test_a_point_that_is_later_than_the_scans_waits_for_the_next_one(robot) -> None:
     robot.scan(START, 0.0)
     kept, words = robot.bridge.add_anchor(robot.point(stamp=START + SECOND // 20))
