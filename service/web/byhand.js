@@ -132,7 +132,7 @@ export class ByHand {
       element("h3", {}, "Move by hand"),
       element("p", {}, "Drag the orange cloud over the blue one, and turn it until both fit. A few degrees matter more than a metre."),
       element("div", { class: "slides" }, ...this.slide("hand-slide", "Turn", "Turned, degrees", (value) => this.setNumber("turn", value)), ...this.slide("hand-most", "Up to", "Greatest height that is shown, metres", (value) => this.cut(value))),
-      element("div", { class: "actions" }, this.note, this.go, back, leave, this.said),
+      element("div", { class: "actions" }, this.note, this.said, this.go, back, leave),
       element("div", { class: "pose" }, ...ROWS.flatMap((row) => this.row(row))),
       this.stepChoice(),
       element("p", { class: "fine" }, "Keys, with the drawing chosen: arrows move, Page Up and Page Down raise and lower, comma and full stop turn, with Shift ten times as far. Two fingers, or the right button, move the view."),

@@ -448,7 +448,7 @@ function renderLoops(loops) {
     button.querySelector("b").textContent = known ? (counts[state]?.length ?? 0).toLocaleString("en") : "";
     button.setAttribute("aria-pressed", String(model.states.has(state)));
   }
-  model.order = loops.sort((a, b) => Number(b.number) - Number(a.number)).map((loop) => loop.name);
+  model.order = loops.sort(newestFirst).map((loop) => loop.name);
   byId("listed").textContent = loops.length ? `${loops.length.toLocaleString("en")}, newest first` : "";
   if (model.reading) tellReading(model.loops.size);
   const rows = loops.slice(0, model.listed).map(loopRow);
@@ -457,6 +457,9 @@ function renderLoops(loops) {
   }
   refill(byId("loops"), ...(rows.length ? rows : [element("li", { class: "nothing" }, nothingListed())]));
 }
+
+/** Of two loop closures the one that was found later comes first, else the one that was accepted later. */
+const newestFirst = (a, b) => Number(b.created_at_ns) - Number(a.created_at_ns) || Number(b.number) - Number(a.number);
 
 function nothingListed() {
   if (model.search) return "Nothing matches the search";

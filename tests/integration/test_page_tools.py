@@ -241,6 +241,18 @@ def test_two_submaps_are_picked_one_is_moved_by_keys_and_numbers_and_registered_
     assert fresh.complaints == [said for said in fresh.complaints if "409" in said], "the refusal alone"
 
 
+def test_of_loops_that_were_never_accepted_the_newest_is_listed_first(fresh):
+    fresh.tab.locator("#loops > li").first.wait_for()
+    names = fresh.tab.evaluate("""() => {
+        const loops = [...revisitPage.model.loops.values()];
+        loops.forEach((loop, row) => Object.assign(loop, { number: "0", created_at_ns: `1795879081617${row}85425` }));
+        revisitPage.render();
+        return loops.filter(({ state }) => state === "ACCEPTED").map(({ name }) => name);
+    }""")
+    listed = [row.get_attribute("data-name") for row in fresh.tab.locator("#loops > li").all()]
+    assert listed == names[::-1]
+
+
 def test_a_cloud_is_dragged_over_the_plane_and_a_rejected_registration_is_accepted_by_a_person(fresh, service):
     fresh.tab.keyboard.press("3")
     fresh.tab.locator("#loops button", has_text="Rejected").first.click()
@@ -268,6 +280,37 @@ def test_a_cloud_is_dragged_over_the_plane_and_a_rejected_registration_is_accept
     fresh.tab.locator("#pair-verdict", has_text=re.compile("^Accepted")).wait_for()
     eventually(lambda: [loop.state for loop in by_hand(service) if loop.name == name] == ["ACCEPTED"])
     assert fresh.complaints == []
+
+
+@pytest.mark.slow
+def test_one_finger_moves_the_cloud_and_two_move_the_view(chromium, service):
+    shown = Page(chromium, service.http, f"/#{TOWN}", **PHONE)
+    shown.drawn()
+    shown.tab.locator("#loops button").last.click()
+    shown.tab.locator("#by-hand").click()
+    clouds_are_there(shown)
+    touch, box = shown.tab.context.new_cdp_session(shown.tab), shown.tab.locator("#pair-view").bounding_box()
+    x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+
+    def drag(*fingers):
+        """Each finger goes from x to another place in four steps."""
+        for step in range(5):
+            points = [{"x": at + step * way / 4, "y": y, "id": n} for n, (at, way) in enumerate(fingers)]
+            touch.send(
+                "Input.dispatchTouchEvent", {"type": "touchMove" if step else "touchStart", "touchPoints": points}
+            )
+        touch.send("Input.dispatchTouchEvent", {"type": "touchEnd", "touchPoints": []})
+
+    start, height = numbers(shown), "revisitPage.pair.camera.position.z"
+    above = shown.tab.evaluate(height)
+    drag((x, 60))
+    moved = numbers(shown)
+    assert moved[0] > start[0] + 1.0 and moved[1:] == pytest.approx(start[1:], abs=0.02)
+    assert shown.tab.evaluate(height) == above
+    drag((x - 20, -40), (x + 20, 40))
+    assert numbers(shown) == moved and shown.tab.evaluate(height) < 0.9 * above
+    assert shown.complaints == []
+    shown.tab.close()
 
 
 def test_escape_leaves_the_cloud_and_then_the_pair_and_the_other_keys_wait(fresh):
