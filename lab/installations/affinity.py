@@ -17,8 +17,8 @@ from revisit.cli.sizing import need_of, value
 PLACES_KEPT = 96
 """Of a worker, unpacked: `PLACES_READ` of `service/adapters/core_recogniser.py`."""
 
-COLD_S = 0.006
-"""More for a place that the worker has not read: 39 ms a job for 6.2 of them (docs/decisions/0366)."""
+COLD_S = 0.0053
+"""More for a place that the worker has not read: 44 ms a job for 8.4 of them (docs/decisions/0366)."""
 
 WAYS_M = 365.0
 """Length of the round that all robots of a map drive: 73 places."""

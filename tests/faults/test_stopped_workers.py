@@ -26,6 +26,8 @@ from tests.support.state import ON_POSTGRES
 from tests.support.town import SESSION
 
 MISTAKEN = "tests.support.fake_recogniser:load_mistaken"
+NO_VERSIONS = {"optimise_after_loops": 0}
+"""In a minute the map would have a version, which judges the loop once more."""
 
 
 def is_stopped(pid: int) -> bool:
@@ -52,7 +54,7 @@ def stopped(worker: WorkerProcess, home: Path) -> Iterator[None]:
 @pytest.fixture
 def client(folder) -> Iterator[Client]:
     """Of a gateway that starts no workers and watches over none."""
-    with closing(ForkedService(folder / "home", workers=0)) as service, Client(service.url) as made:
+    with closing(ForkedService(folder / "home", workers=0, **NO_VERSIONS)) as service, Client(service.url) as made:
         made.create_session(made.create_map("town", leave_distance_m=0), "monday")
         yield made
 
@@ -60,7 +62,8 @@ def client(folder) -> Iterator[Client]:
 @pytest.fixture
 def start_worker(folder) -> Iterator[Callable[..., WorkerProcess]]:
     with ExitStack() as workers:
-        yield lambda **settings: workers.enter_context(closing(WorkerProcess(folder / "home", **settings)))
+        home = folder / "home"
+        yield lambda **settings: workers.enter_context(closing(WorkerProcess(home, **NO_VERSIONS, **settings)))
 
 
 def post(client: Client, submap_id: str, place: int) -> Operation:
