@@ -10,7 +10,8 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 import scipy.sparse as sparse
@@ -52,7 +53,6 @@ class Edges:
     second: Rows
     T_second_first: Array64
     information: Array64
-    _eliminations: dict[int, Elimination] = field(default_factory=dict, repr=False, compare=False)
 
     @classmethod
     def of_motions(
@@ -125,10 +125,8 @@ class Edges:
         return replace(self, T_second_first=se3_rows.inverse(poses[self.second]) @ poses[self.first])
 
     def elimination(self, count: int) -> Elimination:
-        """How `count` poses between which these edges are will be eliminated; found once."""
-        if count not in self._eliminations:
-            self._eliminations[count] = Elimination.of(self.first, self.second, count)
-        return self._eliminations[count]
+        """How `count` poses between which these edges are will be eliminated."""
+        return _elimination(self.first.tobytes(), self.second.tobytes(), count)
 
     def errors(self, poses: Array64) -> Array64:
         """The tangents (e, 6), in the frames of the second poses, by which the poses (n, 4, 4) miss the motions."""
@@ -219,11 +217,13 @@ class Elimination:
     places: Rows
     structure: Structure
 
-    @classmethod
-    def of(cls, first: Rows, second: Rows, count: int) -> Elimination:
-        """Of `count` poses with edges between `first` (e,) and `second` (e,)."""
-        places = elimination_order(first, second, count)
-        return cls(places, Structure.of(places[first], places[second], count))
+
+@lru_cache(maxsize=4)
+def _elimination(first_rows: bytes, second_rows: bytes, count: int) -> Elimination:
+    """The last ones are kept: a map is solved many times over, each time with other weights."""
+    first, second = (np.frombuffer(rows, dtype=np.int64) for rows in (first_rows, second_rows))
+    places = elimination_order(first, second, count)
+    return Elimination(places, Structure.of(places[first], places[second], count))
 
 
 @dataclass(frozen=True)
