@@ -63,9 +63,15 @@ ANNEX = SessionKey("annex", "tuesday")
 ANNEX_PLACES = {"annex-a": 1, "annex-d": 3}
 """Submaps of another map: they close loops with a, c and d."""
 
-MISREAD = "misread"
-FIXES = {"told": (POSTED, 1_001), "between": (STREAMED, 250), MISREAD: (STREAMED, 350), "copied": (ANNEX, 1_003)}
-"""Anchors with their sessions and times. Of those of the scans the scans tell the pose; one is deleted."""
+MISREAD, TAGGED = "misread", "tagged"
+FIXES = {
+    "told": (POSTED, 1_001),
+    "between": (STREAMED, 250),
+    MISREAD: (STREAMED, 350),
+    TAGGED: (POSTED, 1_003),
+    "copied": (ANNEX, 1_003),
+}
+"""Anchors with sessions and times; one is a tag. Of those of the scans the scans tell the pose; one is deleted."""
 
 AS_OF_NS = 1_001
 """A moment at which some submaps were seen."""
@@ -100,7 +106,7 @@ async def drive(world: World, history: History) -> None:
     with contextlib.suppress(SessionFinished):
         for seq in range(1, SCANS + 1):
             await _append(world, history, seq)
-    for anchor_id in ("told", "between", MISREAD):
+    for anchor_id in ("told", "between", MISREAD, TAGGED):
         await _anchor(world, history, anchor_id)
     described, waiting = SCRAPPED_PLACES
     await _post(world, history, described, SCRAPPED_PLACES[described], 300, SCRAPPED)
@@ -203,12 +209,14 @@ async def _post(
 
 
 async def _anchor(world: World, history: History, anchor_id: str) -> None:
-    """Post an anchor on earth, so that it is copied with its session."""
+    """Post an anchor on earth, so that it is copied with its session, or the sighting of a tag."""
     session, stamp_ns = FIXES[anchor_id]
-    position = (48.0, 11.0 + 1e-6 * stamp_ns, 500.0)
     T_odom_sensor = None if session == STREAMED else pose()
-    kind, frame, covariance = AnchorKind.GNSS, AnchorFrame.WGS84, tuple(np.eye(3).ravel().tolist())
-    anchor = NewAnchor(anchor_id, kind, frame, stamp_ns, position, covariance, T_odom_sensor=T_odom_sensor)
+    kind, frame, position, tag = AnchorKind.GNSS, AnchorFrame.WGS84, (48.0, 11.0 + 1e-6 * stamp_ns, 500.0), None
+    if anchor_id == TAGGED:
+        kind, frame, position, tag = AnchorKind.FIDUCIAL, AnchorFrame.TAG, (0.0, 0.0, 0.0), "36h11:7"
+    covariance = tuple(np.eye(3).ravel().tolist())
+    anchor = NewAnchor(anchor_id, kind, frame, stamp_ns, position, covariance, T_odom_sensor=T_odom_sensor, tag=tag)
     operation = history.invoke("surveyor", Kind.PUT, f"anchor/{anchor_id}", str(position))
     await world.use_cases.anchors.post(TENANT, session, [anchor])
     history.settle(operation, Outcome.OK)
