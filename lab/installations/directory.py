@@ -19,6 +19,15 @@ def site_sizes(robots: int, sites: int = SITES) -> list[int]:
     return [int(size) for size in np.diff(ends, prepend=0)]
 
 
+def divided(sizes: list[int], most: int) -> list[int]:
+    """The same robots where each site above `most` is several, by its maps: nearly equal parts, largest first."""
+    found: list[int] = []
+    for size in sizes:
+        parts = -(-size // most)
+        found += [(size + part) // parts for part in range(parts)]
+    return sorted(found, reverse=True)
+
+
 def by_hash(sizes: list[int], installations: int) -> list[int]:
     """Robots of each installation where the name of a site decides."""
     loads = [0] * installations

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from revisit.cli.sizing import Fleet, need_of, value
+from revisit.cli.sizing import Fleet, databases_of, need_of, value
 
 SCANS_S = 1.0
 """A robot at 1 m/s sends a scan a metre, of 64 beams."""
@@ -40,9 +40,7 @@ def parts() -> tuple[Part, ...]:
         Part("search, map of 100,000 places", need.submaps_s, hundred_thousand, "searches/s", "replica"),
         Part("gateway, a core", need.gateway_cores, 1.0, "cores", "gateway"),
         Part("worker, a core", need.worker_cores, 1.0, "cores", "worker"),
-        Part(
-            "database, commits", need.scans_s * commit_s() + need.submaps_s * job_s(), 1.0, "databases", "installation"
-        ),
+        Part("database, commits", databases_of(need), 1.0, "databases", "installation"),
         Part("database, rows", need.row_writes_s, value("row_writes_s_postgres"), "rows/s", "installation"),
     )
 

@@ -5,17 +5,17 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from lab.installations.affinity import COLD_S, Claim, simulated
-from lab.installations.directory import SITES, as_they_come, by_directory, by_hash, site_sizes
+from lab.installations.directory import as_they_come, by_directory, by_hash, divided, site_sizes
 from lab.installations.parts import fleet, parts
 from lab.installations.queueing import waits
 from revisit.cli.sizing import need_of
 
 FLEET = 10_000
-ROBOTS = (500, 750, 1000, 1100)
+ROBOTS = (400, 600, 800, 850)
 BUSY = (0.7, 0.9)
 """Shares of their time in which the workers of an installation work."""
 
-INSTALLATIONS = (10, 12, 16, 20)
+INSTALLATIONS = (12, 14, 16, 20)
 
 WORKERS = 16
 """As many as maps, where it is asked who takes a job."""
@@ -47,14 +47,14 @@ def waits_table() -> str:
 
 def fleet_table() -> str:
     """The fullest installation by number of installations and way of choosing."""
-    sizes = site_sizes(FLEET)
     ends = min(part.robots for part in parts() if part.then == "installation")
+    sizes = divided(site_sizes(FLEET), ends)
     rows = []
     for count in INSTALLATIONS:
         loads = (
             by_hash(sizes, count),
-            by_directory(sizes, count, as_they_come()),
-            by_directory(sizes, count, range(SITES)),
+            by_directory(sizes, count, as_they_come(len(sizes))),
+            by_directory(sizes, count, range(len(sizes))),
         )
         rows.append((str(count), *(f"{100 * max(load) / ends:.0f} %" for load in loads)))
     columns = ("installations", "fullest database, sites by hash", "by directory as they come", "largest first")

@@ -19,6 +19,9 @@ from revisit.service.domain.retention import KeptScans, RetentionPolicy
 
 MEASURED_BEAMS = (16, 32, 64)
 
+INSTALLATIONS = "several installations, a site in each"
+SEARCHES = "searches/s, maps of 100,000 places"
+
 
 @dataclass(frozen=True)
 class Fleet:
@@ -178,6 +181,12 @@ def limits_of(need: Need, cores: int, disk_tb: float) -> list[Limit]:
         Limit("one gateway", need.gateway_cores, 1.0, "cores", "fewer scans a metre; several gateways on PostgreSQL"),
         Limit("SQLite", need.scans_s, value("acknowledgements_s_sqlite"), "acknowledgements/s", "PostgreSQL"),
         Limit("one disk", disk, disk_tb, "TB", "a policy of retention; blobs in S3"),
-        Limit("one PostgreSQL", need.row_writes_s, value("row_writes_s_postgres"), "row writes/s", "several sites"),
-        Limit("searches in the workers", need.submaps_s, value("searches_s_a_core"), "searches/s", "search processes"),
+        Limit("one PostgreSQL, rows", need.row_writes_s, value("row_writes_s_postgres"), "row writes/s", INSTALLATIONS),
+        Limit("one PostgreSQL, commits", databases_of(need), 1.0, "databases", INSTALLATIONS),
+        Limit("searches in the workers", need.submaps_s, value("searches_s_a_core"), SEARCHES, "search processes"),
     ]
+
+
+def databases_of(need: Need) -> float:
+    """How many PostgreSQL databases the commits of acknowledgements and of jobs keep busy."""
+    return need.scans_s / value("acknowledgements_s_postgres") + need.submaps_s / value("jobs_s_postgres")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+import re
 
 import pytest
 from typer.testing import CliRunner
@@ -12,11 +13,13 @@ from revisit.cli.app import app
 from revisit.cli.sizing import Fleet, constants, kept_share, limits_of, need_of, value
 from revisit.core.config import PipelineConfig
 from revisit.service.domain.retention import parsed
+from tests.support.processes import ROOT
 from tests.support.retained import disk_bytes, driven, retained
 from tests.support.service_world import sqlite_world
 from tests.support.stored_rows import run
 
 SCANS = 400
+COMMITS = "docs/decisions/0328-postgresql-beside-sqlite.md"
 A_SCAN_A_METRE = {"hz": 1.0, "speed_m_s": 1.0}
 
 
@@ -85,6 +88,26 @@ def test_one_gateway_ends_before_sqlite_does():
     ends = {one.choice: one.holds for robots in (1, 100) for one in limits_of(need_of(Fleet(robots)), 16, 4.0)}
     assert not ends["one gateway"] and not ends["SQLite"]
     assert all(one.holds for one in limits_of(need_of(Fleet(1, days=1.0)), 16, 4.0))
+
+
+def test_a_database_ends_by_its_commits_before_it_does_by_its_rows():
+    ends = {one.choice: one.holds for one in limits_of(need_of(Fleet(1_500, hz=0.5)), 16, 4.0)}
+    assert ends["one PostgreSQL, rows"] and not ends["one PostgreSQL, commits"]
+
+
+TOLD = {
+    "worker_cpu_s_a_submap": ("docs/reference/measurements.md", r"everything included, .*?\| (\d+) CPU ms", 1e-3),
+    "acknowledgements_s_postgres": (COMMITS, r"^\| 3 \| ([\d,]+) ", 1.0),
+    "jobs_s_postgres": (COMMITS, r"claimed and completed (\d+) jobs/s", 1.0),
+}
+"""Constant -> the page with the latest figure of it, where it stands there, and its unit in that of the constant."""
+
+
+@pytest.mark.parametrize("name", TOLD)
+def test_a_constant_is_the_figure_that_was_measured_last(name):
+    page, place, unit = TOLD[name]
+    (figure,) = re.findall(place, (ROOT / page).read_text(), re.MULTILINE)
+    assert value(name) == pytest.approx(unit * float(figure.replace(",", "")))
 
 
 def test_each_constant_says_where_it_is_from():

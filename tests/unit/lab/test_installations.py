@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from lab.installations.affinity import COLD_S, PLACES_KEPT, Claim, Job, Worker, simulated
-from lab.installations.directory import SITES, as_they_come, by_directory, by_hash, site_sizes
+from lab.installations.directory import SITES, as_they_come, by_directory, by_hash, divided, site_sizes
 from lab.installations.parts import bytes_a_day, parts
 from lab.installations.queueing import arrivals, served, waits
 from lab.installations.tables import affinity_table, fleet_table, parts_table, waits_table
@@ -43,6 +43,11 @@ def test_every_robot_of_a_fleet_has_one_installation():
     assert sum(sizes) == 10_000 and len(sizes) == SITES
     for loads in (by_hash(sizes, 12), by_directory(sizes, 12, as_they_come()), by_directory(sizes, 12, range(SITES))):
         assert sum(loads) == 10_000 and len(loads) == 12
+
+
+def test_a_site_that_is_too_large_is_several_and_others_stay_as_they_are():
+    assert divided([1_000, 700, 3], 400) == [350, 350, 334, 333, 333, 3]
+    assert divided(site_sizes(10_000), 10_000) == site_sizes(10_000)
 
 
 def test_a_directory_that_knows_sizes_is_the_most_even():
