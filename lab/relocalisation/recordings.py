@@ -12,6 +12,7 @@ from pathlib import Path as Folder
 import numpy as np
 from numpy.typing import NDArray
 
+from lab.distractors import SESSION_PLACES, made_up_places
 from lab.worlds.drives import DrivenWorld, Leg, Ride
 from lab.worlds.indoor import HALLS
 from lab.worlds.towns import SimulatedDrive
@@ -32,6 +33,9 @@ from revisit.evaluation.simulator import OS1_64, TownPlan
 
 FURTHEST_M = 32.0
 """A conversation ends after so many metres."""
+
+ELSEWHERE_M = 100_000.0
+"""Places of other settings lie so far from those of a map."""
 
 
 @dataclass(frozen=True)
@@ -99,6 +103,20 @@ def kept(folder: Folder, name: str, make: Callable[[], Sources]) -> Setting:
     found = pickle.loads(file.read_bytes())  # noqa: S301  # made by the line above
     assert isinstance(found, Setting)
     return found
+
+
+def among_others(setting: Setting, others: Sequence[KnownPlace], count: int) -> Setting:
+    """The setting with `count` places more in its map, far away: the `others` by turns, with made-up descriptors.
+
+    The others must be described by the configuration of the setting.
+    """
+    pool = np.stack([one.vector for one in others])
+    known = list(setting.known)
+    for row, vector in enumerate(made_up_places(pool, count, np.random.default_rng(len(known)))):
+        drive, ordinal = divmod(row, SESSION_PLACES)
+        T = se3.from_yaw(0.0, (ELSEWHERE_M + 10.0 * ordinal, 200.0 * drive, 0.0))
+        known.append(KnownPlace(others[row % len(others)].place, vector, Station(1 + drive, ordinal, T)))
+    return replace(setting, known=known)
 
 
 def _windows(sources: Sources) -> list[tuple[int, ...]]:

@@ -22,8 +22,8 @@ from revisit.core.relocalisation.looking import StoredPlace, answered
 
 RIGHT_M, RIGHT_DEG = 1.0, 5.0
 WITHIN_M = 30.0
-COVERED_M, LEAST_COVERED_M = 4.0, 2.0
-"""A view is in the map where a submap was taken so near, times the scale of the scene, but for the least."""
+COVERED_M = 4.0
+"""A view is in the map where a submap was taken so near: submaps lie up to 5.5 m apart, in small scenes, too."""
 
 
 @dataclass
@@ -136,10 +136,9 @@ def hold(places: SettingPlaces, number: int) -> Held:
         seconds.append(time.process_time() - began + view.describe_s)
         answers.append((view, answer))
         beliefs.append(_belief(view, conversation))
-    reach_m = max(COVERED_M * setting.config.scene_scale, LEAST_COVERED_M)
     seen = setting.conversations[number]
     near = [
-        float(np.linalg.norm(places.positions - view.T_map_view[:3, 3], axis=1).min()) <= reach_m
+        float(np.linalg.norm(places.positions - view.T_map_view[:3, 3], axis=1).min()) <= COVERED_M
         for view in seen
         if view.travelled_m <= WITHIN_M
     ]
