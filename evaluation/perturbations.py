@@ -19,21 +19,27 @@ class Perturbation:
     """A change of a recording before it is described.
 
     keep_beams: how many of 64 elevation bins are kept, None for all; keep_points: share of the points that are kept,
-    0 < share <= 1; rotate_seed: seed of the independent uniform yaw of every submap, None for no turning.
+    0 < share <= 1; view_deg: the width of the view about x of the sensor, 0 < width <= 360, as a
+    solid-state LiDAR has it; rotate_seed: seed of the independent uniform yaw of every submap, None for no turning.
     """
 
     keep_beams: int | None = None
     keep_points: float = 1.0
     rotate_seed: int | None = None
+    view_deg: float = 360.0
 
     def __post_init__(self) -> None:
         if self.keep_beams is not None and self.keep_beams < 1:
             raise ValueError(f"keep_beams must be at least 1, got {self.keep_beams}")
         if not 0.0 < self.keep_points <= 1.0:
             raise ValueError(f"keep_points must lie in (0, 1], got {self.keep_points}")
+        if not 0.0 < self.view_deg <= 360.0:
+            raise ValueError(f"view_deg must lie in (0, 360], got {self.view_deg}")
 
     def thin(self, points: Points, scan_index: int) -> Points:
         """The points (n, 3) of a scan that are left; the same scan keeps the same points."""
+        if self.view_deg < 360.0:
+            points = points[np.abs(np.arctan2(points[:, 1], points[:, 0])) < np.radians(self.view_deg) / 2]
         if self.keep_beams is not None:
             points = keep_beams(points, self.keep_beams)
         if self.keep_points < 1.0:

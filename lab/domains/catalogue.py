@@ -137,7 +137,21 @@ def _thin_map(setting: Setting) -> Pass:
     return replace(_halves(setting), thinned_map=_THIN)
 
 
+def _beams_queries(setting: Setting) -> Pass:
+    return replace(_halves(setting), thinned_queries=_BEAMS)
+
+
+def _view_queries(setting: Setting) -> Pass:
+    return replace(_halves(setting), thinned_queries=_VIEW)
+
+
+def _view_in_beams(setting: Setting) -> Pass:
+    return replace(_halves(setting), thinned_queries=_VIEW, thinned_map=_BEAMS)
+
+
 _THIN = Perturbation(keep_beams=16, keep_points=0.06, rotate_seed=2)
+_BEAMS = Perturbation(keep_beams=16, rotate_seed=2)
+_VIEW = Perturbation(rotate_seed=3, view_deg=120.0)
 
 
 class SomeScans:
@@ -202,4 +216,10 @@ DOMAINS: tuple[Domain, ...] = (
            _thin_queries, needs_data=True),
     Domain("real-thin-map", "real street, odd scans among even ones of 16 beams and 6 % of their points",
            _thin_map, needs_data=True),
+    Domain("real-16-beams", "real street, odd scans of 16 beams among even ones of 64", _beams_queries,
+           needs_data=True),
+    Domain("real-solid-state", "real street, odd scans with a view of 120 degrees among even ones of 360",
+           _view_queries, needs_data=True),
+    Domain("real-solid-state-of-16", "real street, odd scans with a view of 120 degrees among even ones of 16 beams",
+           _view_in_beams, needs_data=True),
 )  # fmt: skip
