@@ -7,10 +7,11 @@ between drives, and one id hangs at two places (docs/decisions/0369).
 from __future__ import annotations
 
 from bisect import bisect_left, bisect_right
+from collections import Counter
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import combinations
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +21,8 @@ from revisit.core.pose_graph.anchors import AnchorReason, AnchorState, JudgedAnc
 from revisit.core.pose_graph.graph import Node
 
 Array64 = NDArray[np.float64]
+
+_P = TypeVar("_P")
 
 PASS_M = 30.0
 """Sightings of a tag along so much of a drive, at one spot, are one pass: they err together."""
@@ -37,8 +40,18 @@ where the drive saw its id elsewhere as much more often.
 TWO_PLACES_M, TWO_PLACES_SHARE = 2.0, 0.05
 """A drive that sees a tag so far from where it saw it before, farther than it drifts, sees another one of its id."""
 
+DOUBLED_SHARE = 0.1
+"""A tag hangs at two places where such a share of the drives that saw it have seen it so: of a hundred drives a few
+misread any id.
+"""
+
 SAME_PLACE_M = 1.0
 """Passes have a tag at one place of the map where they have it so near to each other, and by their deviations."""
+
+MOST_OPEN, MOST_HELD = 16, 300
+"""Spots at which a drive sees one tag along PASS_M, at most; and passes against which one is held: a tag at a dock is
+passed thousands of times, and nothing bounds the spots of a false one.
+"""
 
 
 @dataclass(frozen=True)
@@ -55,12 +68,15 @@ class TagSighting:
 @dataclass(frozen=True)
 class TagPass:
     """Sightings, by row, of one tag on one pass: the mean of their points (3,) in the odometry frame; where along the
-    drive, metres; sigma_m of one of them, or what they differ by where that is more.
+    drive, metres, and where the first and the last were; sigma_m of one of them, or what they differ by where that is
+    more.
     """
 
     tag: str
     rows: tuple[int, ...]
     along_m: float
+    first_m: float
+    last_m: float
     point_odom: Array64
     sigma_m: float
 
@@ -94,11 +110,7 @@ class TaggedDrive:
     @cached_property
     def doubled(self) -> frozenset[str]:
         """The tags that hang at two places of this drive."""
-        return frozenset(
-            tag
-            for tag, its in _by_tag(self.passes).items()
-            if any(_are_two(one, other) for one, other in combinations(its, 2))
-        )
+        return frozenset(tag for tag, its in _by_tag(self.passes).items() if _hangs_twice(its))
 
     def beside(self, along_m: float, reach_m: float) -> list[TagPass]:
         """The passes within reach of a place of the drive, the nearest first."""
@@ -111,13 +123,15 @@ class TaggedDrive:
         groups: list[list[int]] = []
         latest: dict[str, list[list[int]]] = {}
         for row in np.argsort(self._along_m, kind="stable").tolist():
-            its = latest.setdefault(self.sightings[row].tag, [])
+            tag = self.sightings[row].tag
+            its = [one for one in latest.get(tag, []) if self._along_m[row] - self._along_m[one[-1]] <= PASS_M]
             own = next((group for group in its if self._is_of_pass(row, group)), None)
             if own is None:
                 own = []
                 its.append(own)
                 groups.append(own)
             own.append(row)
+            latest[tag] = its[-MOST_OPEN:]
         return tuple(sorted(map(self._pass, groups), key=lambda one: (one.along_m, one.tag)))
 
     def _is_of_pass(self, row: int, group: Sequence[int]) -> bool:
@@ -136,6 +150,8 @@ class TaggedDrive:
             self.sightings[rows[0]].tag,
             tuple(rows),
             float(self._along_m[list(rows)].mean()),
+            float(self._along_m[rows[0]]),
+            float(self._along_m[rows[-1]]),
             middle,
             float(max(spread_m, stated_m)),
         )
@@ -143,13 +159,16 @@ class TaggedDrive:
     @cached_property
     def _misread(self) -> list[bool]:
         """Whether each pass read a false id: the drive saw it elsewhere, or another tag there, far more often."""
-        by_tag, found = _by_tag(self._all), []
-        for one in self._all:
+        everyone = _Passes.of(self._all)
+        of_tag = {tag: _Passes.of(_some(its)) for tag, its in _by_tag(self._all).items()}
+        found = []
+        for n, one in enumerate(self._all):
             first = bisect_left(self._all, one.along_m - PASS_M, key=lambda its: its.along_m)
             last = bisect_right(self._all, one.along_m + PASS_M, key=lambda its: its.along_m)
-            elsewhere = (_outnumbers(other, one) and _are_two(one, other) for other in by_tag[one.tag])
-            there = (_outnumbers(other, one) and _is_there(one, other) for other in self._all[first:last])
-            found.append(any(elsewhere) or any(there))
+            near = everyone.part(slice(max(first, n - MOST_HELD), min(last, n + MOST_HELD)))
+            its = of_tag[one.tag]
+            elsewhere = its.outnumber(one) & its.are_two(one)
+            found.append(bool(elsewhere.any() or (near.outnumber(one) & near.are_there(one)).any()))
         return found
 
 
@@ -160,20 +179,59 @@ def _by_tag(passes: Iterable[TagPass]) -> dict[str, list[TagPass]]:
     return found
 
 
-def _outnumbers(one: TagPass, other: TagPass) -> bool:
-    return len(one.rows) >= MISREAD_RATIO * len(other.rows)
+def _some(passes: Sequence[_P]) -> Sequence[_P]:
+    """MOST_HELD of passes, evenly along their order; all where they are fewer."""
+    return passes[:: 1 + (len(passes) - 1) // MOST_HELD]
 
 
-def _is_there(one: TagPass, other: TagPass) -> bool:
-    """Whether two passes saw one spot, under two ids."""
-    within_m = MISREAD_M + SIGMAS * float(np.hypot(one.sigma_m, other.sigma_m))
-    return bool(one.tag != other.tag and np.linalg.norm(one.point_odom - other.point_odom) <= within_m)
+def _hangs_twice(passes: Sequence[TagPass]) -> bool:
+    """Whether some of the passes of one tag by a drive saw another tag than the others."""
+    held = _Passes.of(_some(passes))
+    return any(bool(held.are_two(one).any()) for one in passes)
 
 
-def _are_two(one: TagPass, other: TagPass) -> bool:
-    """Whether two passes of a drive saw two tags of one id, however it has drifted in between."""
-    may_m = TWO_PLACES_M + TWO_PLACES_SHARE * abs(one.along_m - other.along_m) + SIGMAS * (one.sigma_m + other.sigma_m)
-    return bool(one.tag == other.tag and np.linalg.norm(one.point_odom - other.point_odom) > may_m)
+@dataclass(frozen=True)
+class _Passes:
+    """Passes of a drive as arrays (k,); their points (k, 3)."""
+
+    tags: NDArray[np.object_]
+    sightings: NDArray[np.int64]
+    along_m: Array64
+    points_odom: Array64
+    sigmas_m: Array64
+
+    @classmethod
+    def of(cls, passes: Sequence[TagPass]) -> _Passes:
+        return cls(
+            np.array([one.tag for one in passes], dtype=object),
+            np.array([len(one.rows) for one in passes], dtype=np.int64),
+            np.array([one.along_m for one in passes]),
+            np.array([one.point_odom for one in passes]),
+            np.array([one.sigma_m for one in passes]),
+        )
+
+    def part(self, rows: slice) -> _Passes:
+        return _Passes(
+            self.tags[rows], self.sightings[rows], self.along_m[rows], self.points_odom[rows], self.sigmas_m[rows]
+        )
+
+    def outnumber(self, one: TagPass) -> NDArray[np.bool_]:
+        """Which of them have so many more sightings than a pass."""
+        return np.asarray(self.sightings >= MISREAD_RATIO * len(one.rows))
+
+    def are_there(self, one: TagPass) -> NDArray[np.bool_]:
+        """Which of them saw the spot of a pass, under another id."""
+        within_m = MISREAD_M + SIGMAS * np.hypot(self.sigmas_m, one.sigma_m)
+        return np.asarray((self.tags != one.tag) & (self._off_m(one) <= within_m))
+
+    def are_two(self, one: TagPass) -> NDArray[np.bool_]:
+        """Which of them saw another tag of the id of a pass, however the drive has drifted in between."""
+        way_m = np.abs(self.along_m - one.along_m)
+        may_m = TWO_PLACES_M + TWO_PLACES_SHARE * way_m + SIGMAS * (self.sigmas_m + one.sigma_m)
+        return np.asarray((self.tags == one.tag) & (self._off_m(one) > may_m))
+
+    def _off_m(self, one: TagPass) -> Array64:
+        return np.asarray(np.linalg.norm(self.points_odom - one.point_odom, axis=1))
 
 
 def tagged_drives(T_odom_submap: Mapping[str, Array64], sightings: Iterable[TagSighting]) -> dict[str, TaggedDrive]:
@@ -184,9 +242,11 @@ def tagged_drives(T_odom_submap: Mapping[str, Array64], sightings: Iterable[TagS
     return {name: TaggedDrive(T_odom_submap[name], its) for name, its in of_session.items()}
 
 
-def doubled_tags(drives: Iterable[TaggedDrive]) -> frozenset[str]:
-    """The tags that hang at two places, as any drive has seen: they tell nothing of any."""
-    return frozenset[str]().union(*(one.doubled for one in drives))
+def doubled_tags(drives: Collection[TaggedDrive]) -> frozenset[str]:
+    """The tags that hang at two places, as drives have seen: they tell nothing of any."""
+    saw = Counter(tag for one in drives for tag in {its.tag for its in one.passes})
+    doubled = Counter(tag for one in drives for tag in one.doubled)
+    return frozenset(tag for tag, times in doubled.items() if times >= DOUBLED_SHARE * saw[tag])
 
 
 @dataclass(frozen=True)
@@ -237,25 +297,43 @@ def _place_map(drive: TaggedDrive, one: TagPass, T_map_submap: Array64) -> Array
 
 def _of_tag(passes: Sequence[_Seen], doubled: bool) -> list[JudgedAnchor]:
     """The verdicts on all passes of a tag."""
-    places, sigmas = np.array([one.place for one in passes]), np.array([one.its.sigma_m for one in passes])
     frames = np.array([one.frame for one in passes])
-    together = (frames[:, None] == frames) & ~np.eye(len(passes), dtype=bool)
-    may_m = SAME_PLACE_M + SIGMAS * np.hypot(sigmas[:, None], sigmas)
-    beside = together & (np.linalg.norm(places[:, None] - places, axis=2) <= may_m)
-    count = beside.sum(axis=1)
+    found: dict[int, JudgedAnchor] = {}
+    for frame in np.unique(frames):
+        rows = np.flatnonzero(frames == frame).tolist()
+        found |= zip(rows, _of_frame([passes[row] for row in rows], doubled), strict=True)
+    if len(passes) > 1:
+        alone = [row for row, one in found.items() if one.reason is AnchorReason.SEEN_ONCE]
+        found |= {row: _verdict(AnchorReason.NOT_JOINED) for row in alone}
+    return [found[row] for row in range(len(passes))]
+
+
+def _of_frame(passes: Sequence[_Seen], doubled: bool) -> list[JudgedAnchor]:
+    """The verdicts on the passes of a tag in one frame, each held against the others."""
+    if len(passes) == 1:
+        return [_verdict(AnchorReason.SEEN_ONCE)]
+    places, sigmas = np.array([one.place for one in passes]), np.array([one.its.sigma_m for one in passes])
+    held = np.asarray(_some(range(len(passes))))
+    beside = [_beside(places, sigmas, row, held) for row in range(len(passes))]
+    others = [len(held) - (row in held) for row in range(len(passes))]
+    shares = [len(its) / of for its, of in zip(beside, others, strict=True)]
+    least = min(0.5, max(shares))
     verdicts = []
-    for n in range(len(passes)):
-        if not together[n].any():
-            verdicts.append(_verdict(AnchorReason.NOT_JOINED if len(passes) > 1 else AnchorReason.SEEN_ONCE))
-            continue
-        residual_m = np.median(places[beside[n] if count[n] else together[n]], axis=0) - places[n]
-        squared = float(residual_m @ residual_m / (sigmas[n] ** 2 + (SAME_PLACE_M / SIGMAS) ** 2))
-        reason = AnchorReason.TWO_PLACES if doubled else AnchorReason.MOVED
-        if not doubled and count[n] and count[n] >= count[frames == frames[n]].max():
+    for row, its in enumerate(beside):
+        residual_m = np.median(places[its if len(its) else held[held != row]], axis=0) - places[row]
+        squared = float(residual_m @ residual_m / (sigmas[row] ** 2 + (SAME_PLACE_M / SIGMAS) ** 2))
+        if not doubled and len(its) and shares[row] >= least:
             verdicts.append(JudgedAnchor(AnchorState.IN_MAP, None, residual_m, squared))
         else:
+            reason = AnchorReason.TWO_PLACES if doubled else AnchorReason.MOVED
             verdicts.append(_verdict(reason, residual_m, squared))
     return verdicts
+
+
+def _beside(places: Array64, sigmas: Array64, row: int, held: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Those of the rows `held` but one, whose passes have the tag where that one has it."""
+    may_m = SAME_PLACE_M + SIGMAS * np.hypot(sigmas[held], sigmas[row])
+    return np.asarray(held[(np.linalg.norm(places[held] - places[row], axis=1) <= may_m) & (held != row)])
 
 
 _NO_EFFECT = frozenset({AnchorReason.SEEN_ONCE, AnchorReason.NOT_JOINED})

@@ -48,7 +48,8 @@ drives: by such a share of it, standard deviation, and at most.
 @dataclass(frozen=True)
 class _Common:
     """A tag that both passed: points (2,) on the ground and heights by their odometry; sigma_m of both together, with
-    the drift on the ways to the two submaps, way_m together, and slack_m, the most that they may lie apart.
+    the drift on the ways to the two submaps, way_m together, and slack_m, the most that they may lie apart; whether it
+    was seen before or at the match, at or after it, and so of the query.
     """
 
     tag: str
@@ -58,10 +59,12 @@ class _Common:
     sigma_m: float
     slack_m: float
     way_m: float
+    sides: tuple[bool, bool, bool, bool]
 
     @classmethod
-    def of(cls, match: TagPass, query: TagPass, way_m: float) -> _Common:
-        """way_m: along both drives."""
+    def of(cls, match: TagPass, match_m: float, query: TagPass, query_m: float) -> _Common:
+        """match_m and query_m: where the two submaps are along their drives, metres."""
+        way_m = abs(match.along_m - match_m) + abs(query.along_m - query_m)
         both_m = float(np.hypot(match.sigma_m, query.sigma_m))
         return cls(
             match.tag,
@@ -71,6 +74,7 @@ class _Common:
             float(np.hypot(both_m, DRIFT_SHARE * way_m)),
             AGREE_M + SIGMAS * both_m + MOST_DRIFT_SHARE * way_m,
             way_m,
+            (match.first_m <= match_m, match.last_m >= match_m, query.first_m <= query_m, query.last_m >= query_m),
         )
 
 
@@ -157,7 +161,9 @@ class TagsBetween:
         self._doubled = doubled_tags(self._drives.values())
 
     def put(self, match: Node, query: Node) -> PutByTags | None:
-        """Where tags put the query; None where fewer than two agree, or not most of those that both passed."""
+        """Where tags put the query; None where fewer than two agree, or not most of those that both passed, and where a
+        drive saw those that agree on one side of its submap alone: odometry may have slipped on the way to them.
+        """
         if match.session not in self._drives or query.session not in self._drives:
             return None
         first, second = self._drives[match.session], self._drives[query.session]
@@ -166,6 +172,8 @@ class TagsBetween:
         if laid is None:
             return None
         its = laid.agreeing(common)
+        if not np.any([one.sides for one in its], axis=0).all():
+            return None
         between = _between(laid, first.T_odom_submap[match.ordinal], second.T_odom_submap[query.ordinal])
         against = len({one.tag for one in common}) - len(its)
         return PutByTags(between, tuple(sorted(one.tag for one in its)), against, laid.spread_m)
@@ -177,11 +185,7 @@ class TagsBetween:
             reach_m = min(reach_m, 0.5 * abs(first.along_m[match] - first.along_m[query]))
         here, there = self._beside(first, match, reach_m), self._beside(second, query, reach_m)
         return [
-            _Common.of(
-                one,
-                other,
-                abs(one.along_m - first.along_m[match]) + abs(other.along_m - second.along_m[query]),
-            )
+            _Common.of(one, first.along_m[match], other, second.along_m[query])
             for one in here
             for other in there
             if one.tag == other.tag
@@ -190,7 +194,7 @@ class TagsBetween:
     def _beside(self, drive: TaggedDrive, ordinal: int, reach_m: float) -> list[TagPass]:
         """The nearest passes along the drive of tags that hang at one place alone."""
         near = drive.beside(float(drive.along_m[ordinal]), reach_m)
-        return [one for one in near if one.tag not in self._doubled][:MOST_TAGS]
+        return [one for one in near if one.tag not in self._doubled | drive.doubled][:MOST_TAGS]
 
 
 def refuted_by_tags(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tracemalloc
 from dataclasses import replace
 
 import numpy as np
@@ -10,7 +11,7 @@ import pytest
 from revisit.core.geometry import se3
 from revisit.core.pose_graph.anchors import AnchorReason, AnchorState
 from revisit.core.pose_graph.graph import Node
-from revisit.core.pose_graph.tags import TaggedDrive, TagSighting, doubled_tags, judged_sightings
+from revisit.core.pose_graph.tags import MOST_OPEN, TaggedDrive, TagSighting, doubled_tags, judged_sightings
 
 POSES = np.stack([se3.from_yaw(0.0, (5.0 * n, 0.0, 0.0)) for n in range(20)])
 DRIVES = {"a": POSES, "b": POSES, "c": POSES}
@@ -85,3 +86,29 @@ def test_odometry_that_drifts_by_a_twentieth_of_its_way_makes_no_tag_two(off_m, 
     first = sighting("a", 2, "7", HERE)
     last = replace(sighting("a", 2, "7", (12.0, 2.0 + off_m, 0.5)), name="again", node=Node("a", 37))
     assert TaggedDrive(way_back, [first, last]).doubled == reasons_of_it
+
+
+def test_a_tag_that_a_fleet_passes_often_is_in_the_map_however_the_map_scatters():
+    """Four hundred passes: each is held against MOST_HELD of them."""
+    random = np.random.default_rng(4)
+    passes = [
+        replace(sighting("a", 2, "7", HERE + 0.35 * random.normal(size=3)), name=f"{n}", node=Node(f"{n}", 2))
+        for n in range(400)
+    ]
+    drives = {one.node.session: POSES for one in passes}
+    found = judged_sightings(drives, drives, [tuple(drives)], passes)
+    assert np.mean([one.state is AnchorState.IN_MAP for one in found]) > 0.95
+
+
+def test_a_tag_at_a_thousand_spots_takes_a_bounded_time_and_memory_for_each(monkeypatch):
+    asked = []
+    monkeypatch.setattr(TaggedDrive, "_is_of_pass", lambda self, row, group: bool(asked.append(row)))
+    some = [sighting("a", 2, "7", (12.0 + 30.0 * n, 2.0, 0.5), f"{n}") for n in range(1000)]
+    tracemalloc.start()
+    try:
+        found = judged(*some)
+        _, peak_bytes = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert {one.reason for one in found} == {AnchorReason.TWO_PLACES}
+    assert len(asked) <= MOST_OPEN * len(some) and peak_bytes < 20e6

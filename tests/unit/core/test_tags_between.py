@@ -130,6 +130,21 @@ def test_a_tag_that_hangs_twice_says_nothing():
     assert put is not None and "t1" not in put.tags
 
 
+def test_an_id_that_one_drive_of_a_fleet_misreads_counts_in_the_others():
+    """Each sighting alone is a pass of its own, so that none is outnumbered."""
+    once = {name: seen(name, each=1) for name in "ab"}
+    fleet = {f"c{n}": DRIVES["a"] for n in range(11)}
+    theirs = [
+        replace(one, name=f"{name}{one.name}", node=Node(name, one.node.ordinal)) for name in fleet for one in once["a"]
+    ]
+    wrong = replace(theirs[0], name="wrong", tag=once["a"][-1].tag)
+    asked = TagsBetween({**DRIVES, **fleet}, [*once["a"], *once["b"], *theirs, wrong])
+    put = asked.put(Node("a", 15), Node("b", SUBMAPS - 16))
+    assert put is not None and "t5" in put.tags
+    put = asked.put(Node("c0", 15), Node("b", SUBMAPS - 16))
+    assert put is None or "t5" not in put.tags
+
+
 def test_places_on_earth_and_tags_that_choose_different_poses_choose_none():
     fixes = []
     for session in "ab":
@@ -150,6 +165,23 @@ def test_passes_of_one_drive_are_two_witnesses():
     ]
     found = AnchorsForLoops({"a": both}, [], [*A, *again]).chosen(some)
     assert len(found) >= 6 and set(found.values()) == {1}
+
+
+@pytest.mark.parametrize("slipped", [3, SUBMAPS - 3])
+def test_odometry_that_slips_by_a_period_chooses_nothing_wrong_and_refutes_no_true_loop(slipped):
+    """Of the submaps beyond the slip fewer tags hang on their side of it than on the other."""
+    period_m = 6.0
+    slip = se3.from_yaw(0.0, tuple(period_m * DRIVES["b"][slipped][:3, 0]))
+    drives = {**DRIVES, "b": np.concatenate([DRIVES["b"][:slipped], slip @ DRIVES["b"][slipped:]])}
+    some = [
+        replace(one, poses=tuple(se3.from_yaw(0.0, (period_m * k, 0.0, 0.0)) @ one.poses[0] for k in (1, 0, -1)))
+        for one in pairs((0,))
+    ]
+    few = {tag: place for tag, place in TAGS.items() if (tag != "t5" if slipped < 10 else tag != "t0")}
+    sightings = [*A, *seen("b", few)]
+    found = AnchorsForLoops(drives, [], sightings).chosen(some)
+    assert len(found) >= 5 and set(found.values()) == {1}
+    assert refuted_by_tags(drives, loops(0), sightings) == set()
 
 
 def _followed(T_odom_last):
