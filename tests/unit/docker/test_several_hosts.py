@@ -102,6 +102,15 @@ def test_every_variable_of_the_files_is_a_setting():
     assert {name.removeprefix("REVISIT_").lower() for name in variables()} <= Settings.model_fields.keys()
 
 
+@pytest.mark.parametrize("files", ["pods", "hosts"])
+def test_gateways_behind_a_balancer_know_the_names_that_clients_use(files, monkeypatch):
+    told = of_kind("ConfigMap")[0]["data"] if files == "pods" else HOSTS["gateway"]["environment"]
+    for name in ("REVISIT_ALLOWED_HOSTS", "REVISIT_GRPC_ADDRESS"):
+        assert told[name]
+        monkeypatch.setenv(name, re.sub(r"^\$\{\w+:-\}$", "", told[name]))
+    assert load_settings()  # as delivered, too
+
+
 def test_the_settings_of_the_pods_are_taken_by_the_service(monkeypatch):
     (config,), (secret,) = of_kind("ConfigMap"), of_kind("Secret")
     for name, value in {**config["data"], **secret["stringData"], "REVISIT_SECRET": "0" * 64}.items():
