@@ -60,6 +60,7 @@ FAULTS = {
     "RevisitStorageIsFull": {"revisit_storage_full": "0x60 1x60"},
     "RevisitDiskFillsUp": {"revisit_disk_free_bytes": "4e12-1e10x120"},
     "RevisitDataIsDamaged": {"revisit_quarantined_blobs": "1x120"},
+    "RevisitDatabaseIsOutOfReach": {"revisit_workers": "2x60 _x60"},
     "RevisitBlobsAreOutOfReach": {"revisit_blobs_unreachable": "1x120"},
     "RevisitIndexDrifts": {"revisit_index_drift_total": "3x80 4x40"},
     "RevisitLogOfDatabaseGrows": {"revisit_wal_bytes": "1e8x120"},
