@@ -65,11 +65,15 @@ class RevisitError(Exception):
 
     code: ErrorCode = ErrorCode.INTERNAL
 
-    def __init__(self, message: str | None = None, *, field: str | None = None) -> None:
-        """`field` names the offending input (`points`, `T_odom_sensor`, `k`), where there is one."""
+    def __init__(self, message: str | None = None, *, field: str | None = None, reason: str = "") -> None:
+        """`field` names the offending input (`points`, `T_odom_sensor`, `k`), where there is one.
+
+        `reason` is for logs and operators, `str` of the error, where they are told more than clients: names of hosts.
+        """
         self.message = message or inspect.getdoc(type(self)) or type(self).__name__
         self.field = field
-        super().__init__(self.message)
+        self.reason = reason or self.message
+        super().__init__(self.reason)
 
 
 class MalformedBody(RevisitError):

@@ -78,7 +78,7 @@ def _started(options: argparse.Namespace, settings: Settings) -> int:
     except (RemoteFileSystem, UnusableServer, MissingLibrary) as error:
         return _refuse(str(error))
     except StorageUncertain as error:
-        print(f"{state.name}: {error.message}", file=sys.stderr)
+        print(f"{state.name}: {error.reason}", file=sys.stderr)
         return NOT_NOW
 
 

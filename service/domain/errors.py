@@ -75,9 +75,9 @@ class Unavailable(RevisitError):
 
     code = ErrorCode.WORKERS_BUSY
 
-    def __init__(self, message: str | None = None, *, retry_after_s: float = 1.0) -> None:
-        """`retry_after_s` is a hint for the client, seconds."""
-        super().__init__(message)
+    def __init__(self, message: str | None = None, *, retry_after_s: float = 1.0, reason: str = "") -> None:
+        """`retry_after_s` is a hint for the client, seconds; `reason` as in `RevisitError`."""
+        super().__init__(message, reason=reason)
         self.retry_after_s = retry_after_s
 
 

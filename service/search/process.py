@@ -121,7 +121,7 @@ def put_off() -> Iterator[None]:
     try:
         yield
     except Unavailable as error:
-        log.warning("search_round_put_off", reason=error.message)
+        log.warning("search_round_put_off", reason=error.reason)
 
 
 class Rounds:

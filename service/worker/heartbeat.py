@@ -120,14 +120,14 @@ class Heartbeat:
         try:
             self._jobs.fail(lease, f"the job took longer than {self._job_timeout_s:g} s")
         except RevisitError as error:
-            log.warning("overtime_not_stored", operation=lease.job.operation_id, reason=error.message)
+            log.warning("overtime_not_stored", operation=lease.job.operation_id, reason=error.reason)
         os._exit(OVERTIME)
 
     def _beat_or_log(self) -> None:
         try:
             self._beat()
         except RevisitError as error:
-            log.warning("heartbeat_failed", reason=error.message)
+            log.warning("heartbeat_failed", reason=error.reason)
 
     def _beat(self) -> None:
         """Show that the worker lives and keep its lease, in one transaction."""

@@ -107,7 +107,7 @@ class Worker:
                 self._jobs.run(lease)
             except (Unavailable, DataLoss) as error:
                 # The lease runs out and the job is claimed again; its attempt is counted.
-                log.warning("job_end_not_stored", reason=error.message)
+                log.warning("job_end_not_stored", reason=error.reason)
             finally:
                 self._heartbeat.release()
                 self._memory.after_job()
@@ -130,7 +130,7 @@ class Worker:
         try:
             return self._claims.next()
         except (Unavailable, DataLoss) as error:
-            log.warning("claim_failed", reason=error.message)
+            log.warning("claim_failed", reason=error.reason)
             return None
 
 

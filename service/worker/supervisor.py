@@ -51,7 +51,7 @@ class WorkerSupervisor:
         try:
             forgiven = await self._storage.write(lambda uow: uow.queue.forgive(self._family))
         except Unavailable as error:
-            log.warning("runs_not_forgiven", reason=error.message)
+            log.warning("runs_not_forgiven", reason=error.reason)
             return
         if forgiven:
             log.info("runs_forgiven", runs=forgiven)
@@ -134,7 +134,7 @@ class WorkerSupervisor:
             alive = await self._storage.read(lambda uow: uow.workers.alive(within_ms))
         except Unavailable as error:
             # A database that does not answer says nothing about the worker.
-            log.warning("worker_not_watched", worker=worker_id, reason=error.message)
+            log.warning("worker_not_watched", worker=worker_id, reason=error.reason)
             return True
         return any(worker.worker_id == worker_id for worker in alive)
 
@@ -143,7 +143,7 @@ class WorkerSupervisor:
         try:
             released = await self._storage.write(release)
         except Unavailable as error:
-            log.warning("leases_not_released", worker=worker_id, reason=error.message)
+            log.warning("leases_not_released", worker=worker_id, reason=error.reason)
             return
         if released:
             log.warning("worker_died_at_work", worker=worker_id, reason=reason, innocent=innocent)

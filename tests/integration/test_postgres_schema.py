@@ -134,3 +134,10 @@ def test_a_database_in_another_encoding_is_refused_with_what_to_do(postgres_url,
 def test_a_server_that_does_not_answer_is_told_apart_from_one_that_cannot_be_used():
     with pytest.raises(StorageUncertain, match="the database failed"):
         migration.migrate(server_url("postgresql://nobody@127.0.0.1:1/none"))
+
+
+def test_clients_are_not_told_where_the_database_is_and_operators_are():
+    with pytest.raises(StorageUncertain) as told:
+        migration.current_revision(server_url("postgresql://nobody@127.0.0.1:1/none"))
+    assert "127.0.0.1" in told.value.reason
+    assert "127.0.0.1" not in told.value.message

@@ -61,4 +61,5 @@ def _translation(error: DBAPIError) -> Exception:
         return StorageUncertain("the database takes no data at the moment; nothing was stored")
     if state in LOCKED:
         return StorageUncertain("another process holds the rows; nothing was stored")
-    return StorageUncertain(f"the database failed: {str(error.orig).strip()}"[:300])
+    reason = f"the database failed: {str(error.orig).strip()}"[:300]
+    return StorageUncertain("the database failed; repeat this with the same id", reason=reason)

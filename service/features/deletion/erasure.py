@@ -125,7 +125,7 @@ class Erasure:
                 while await self._portion(step, deletion):
                     portions += 1
         except RevisitError as error:  # the next round of the chore goes on
-            log.warning("erasure_interrupted", map=deletion.map_id, reason=error.message)
+            log.warning("erasure_interrupted", map=deletion.map_id, reason=error.reason)
             return
         except Exception:  # a defect must not be silent because nobody waits for the task
             log.exception("erasure_crashed", map=deletion.map_id)

@@ -37,7 +37,7 @@ class Comparison:
             return self._recogniser.verify(asked, self._place(match.submap), match.similarity, config, initial)
         except DataLoss as error:
             pair = [one.key.name for one in (query, match.submap) if isinstance(one, SubmapRecord)]
-            log.error("place_lost", submaps=pair, reason=error.message)
+            log.error("place_lost", submaps=pair, reason=error.reason)
             return RejectedLoop(RejectionReason.PLACE_LOST, message=error.message)
 
     def _place(self, submap: SubmapRecord) -> bytes:

@@ -82,7 +82,7 @@ class IndexKeeper:
             try:
                 await asyncio.to_thread(self._caught_up.catch_up, record.tenant, record.number)
             except DataLoss as error:  # as searches in this map will be told
-                log.error("index_not_loaded", tenant=record.tenant, map=record.map_id, reason=error.message)
+                log.error("index_not_loaded", tenant=record.tenant, map=record.map_id, reason=error.reason)
         await self._keep_named_files()
         self._health.loading = False
         submaps = sum(self._index.size(record.number) for record in maps)
@@ -153,7 +153,7 @@ class IndexKeeper:
         try:
             return self._audit_map(record)
         except DataLoss as error:
-            log.error("index_not_audited", tenant=record.tenant, map=record.map_id, reason=error.message)
+            log.error("index_not_audited", tenant=record.tenant, map=record.map_id, reason=error.reason)
             return 0, 0
 
     def _is_held(self, record: MapRecord) -> bool:

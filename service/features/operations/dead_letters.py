@@ -77,7 +77,7 @@ def mark_subject_failed(uow: UnitOfWork, job: JobRecord, code: str, message: str
     try:
         submap = _subject(uow, job) if job.kind == OperationKind.DESCRIBE_SUBMAP else None
     except DataLoss as error:
-        log.error("subject_damaged", operation=job.operation_id, subject=job.subject, reason=error.message)
+        log.error("subject_damaged", operation=job.operation_id, subject=job.subject, reason=error.reason)
         return
     if submap is None:
         return

@@ -54,7 +54,7 @@ class JobRunner:
             self.fail(lease, f"{type(error).__name__}: {error}"[:500])
 
     def _put_back(self, lease: Lease, error: OutOfTurn) -> None:
-        log.info("job_put_back", operation=lease.job.operation_id, reason=error.message)
+        log.info("job_put_back", operation=lease.job.operation_id, reason=error.reason)
         self._end(lease, lambda uow: uow.queue.put_back(lease, error.operation_ids))
 
     def fail(self, lease: Lease, message: str) -> None:

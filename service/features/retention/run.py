@@ -69,7 +69,7 @@ class Retention:
                     await self._storage.read(partial(_require_whole, record=record))
                     await self.of_map(record, policy, now_ns)
             except DataLoss as error:
-                log.error("retention_stopped", tenant=record.tenant, map=record.map_id, reason=error.message)
+                log.error("retention_stopped", tenant=record.tenant, map=record.map_id, reason=error.reason)
 
     async def _maps(self) -> AsyncIterator[MapRecord]:
         after: int | None = 0

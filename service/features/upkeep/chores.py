@@ -69,6 +69,6 @@ async def _once(chore: Chore) -> None:
     try:
         await chore.work()
     except RevisitError as error:
-        log.warning("chore_failed", chore=chore.name, reason=error.message)
+        log.warning("chore_failed", chore=chore.name, reason=error.reason)
     except Exception:  # a defect in one chore must not end the gateway
         log.exception("chore_crashed", chore=chore.name)
