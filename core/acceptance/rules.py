@@ -108,13 +108,17 @@ def accept_cloud(
 def accept_named(claim: LoopClaim, known: Sequence[LoopClaim], config: VerificationConfig) -> LoopClaim:
     """Judge the claim of a pair that a caller has named. It is held against no other pair.
 
-    `known`: the ambiguous claims of the service on the same two submaps, whichever is the query. Each keeps the pair
-    ambiguous: its doubts stand, and its other poses are rivals (docs/decisions/0371).
+    `known`: other claims on the same two submaps, whichever is the query, that are or were ambiguous. An ambiguous one
+    keeps the pair ambiguous: its doubts stand, and its other poses are rivals; so does one that was accepted since, in
+    another pose (docs/decisions/0371).
     """
     for own in known:
         if not claim.accepted or claim.measurement is None:
             break
-        measured = replace(claim.measurement, rivals=_other_poses(claim, own, config))
+        others = _other_poses(claim, own, config)
+        if own.accepted and not others:
+            continue
+        measured = replace(claim.measurement, rivals=others)
         rejected = RejectedLoop(RejectionReason.AMBIGUOUS, measured)
         verdict = replace(claim.verdict, measurement=measured) if own.doubts else rejected
         claim = replace(claim, verdict=verdict, doubts=own.doubts)
@@ -122,12 +126,17 @@ def accept_named(claim: LoopClaim, known: Sequence[LoopClaim], config: Verificat
 
 
 def _other_poses(claim: LoopClaim, own: LoopClaim, config: VerificationConfig) -> tuple[Hypothesis, ...]:
-    """The poses of `own` that are not that of `claim`, in the order of its pair, the best first."""
+    """The poses of `own`, of an accepted claim its own alone, that are not that of `claim`, in the order of its pair,
+    the best first.
+    """
     if own.measurement is None or claim.T_match_query is None:
         return ()
-    poses = (Hypothesis(own.overlap, own.measurement.T_match_query), *own.measurement.rivals)
+    poses = [Hypothesis(own.overlap, own.measurement.T_match_query)]
+    if not own.accepted:
+        ruled_out = () if own.support is None else own.support.ruled_out
+        poses += [*own.measurement.rivals, *(Hypothesis(own.overlap, pose) for pose in ruled_out)]
     if (own.query.drive, own.query.ordinal) == (claim.match.drive, claim.match.ordinal):
-        poses = tuple(Hypothesis(one.overlap, se3.inverse(one.T_match_query)) for one in poses)
+        poses = [Hypothesis(one.overlap, se3.inverse(one.T_match_query)) for one in poses]
     apart_m, turn_rad = most_moved_m(config), np.radians(config.support_turn)
     moved = [se3.inverse(claim.T_match_query) @ one.T_match_query for one in poses]
     is_other = [np.linalg.norm(T[:3, 3]) > apart_m or se3.rotation_angle(T) > turn_rad for T in moved]

@@ -12,7 +12,7 @@ from revisit.service.features.loops.decisions import ProposeLoop
 from revisit.service.features.resources.paging import PageRequest
 from tests.integration.test_loops_beside import PERIOD_M, EqualBlocks, RowOfHouses, driven_twice
 from tests.support.service_world import TENANT, memory_world
-from tests.support.verdicts import verified
+from tests.support.verdicts import rejected, verified
 
 
 def keys(query: str, match: str) -> tuple[SubmapKey, SubmapKey]:
@@ -96,3 +96,65 @@ async def test_a_start_by_hand_is_noted_with_who_gave_it():
     await world.use_cases.loop_decisions.accept(TENANT, "town", by_hand.loop_id)
     accepted = (await world.use_cases.audit.newest(1))[0]
     assert (accepted.action, accepted.detail) == ("loop_accepted", {"start": "by hand"})
+
+
+class OneAloneAfterAnEnd(OneAlone):
+    """As OneAlone; beyond the end of the row geometry tells the places apart."""
+
+    def verify(self, query, match, similarity, config, initial=None):
+        if initial is not None and initial.authority is Authority.COMPETES:
+            return verified(initial.T_match_query)
+        return RowOfHouses(end_m=30.0).verify(query, match, similarity, config, initial)
+
+
+async def own_loop(world, pair):
+    page = await world.use_cases.loops.list(TENANT, "town", PageRequest(500))
+    (own,) = [loop for loop in page.items if {loop.query, loop.match} == set(keys(*pair)) and not loop.manual]
+    return own
+
+
+@pytest.mark.parametrize("recogniser", [OneAlone, EqualBlocks], ids=["other poses", "doubts"])
+async def test_a_pair_that_was_ambiguous_stays_so_after_a_person_has_accepted_and_rejected_it(recogniser):
+    world, pair = memory_world(), ("tuesday-20", "monday-20")
+    await driven_twice(world, recogniser())
+    own = await own_loop(world, pair)
+    assert own.reason == "AMBIGUOUS"
+    await world.use_cases.loop_decisions.accept(TENANT, "town", own.loop_id)
+    await world.use_cases.loop_decisions.reject(TENANT, "town", own.loop_id)
+    loop = await registered(world, recogniser(), *pair, PERIOD_M)
+    assert (loop.state, loop.reason) == (LoopState.REJECTED, "AMBIGUOUS")
+
+
+@pytest.mark.parametrize(("x_m", "reason"), [(PERIOD_M, "AMBIGUOUS"), (0.0, None)], ids=["another pose", "its pose"])
+async def test_a_start_by_hand_joins_no_pair_in_another_pose_than_its_accepted_loop(x_m, reason):
+    world, pair = memory_world(), ("tuesday-20", "monday-20")
+    await driven_twice(world, OneAloneAfterAnEnd())
+    own = await own_loop(world, pair)
+    assert own.state == LoopState.ACCEPTED and own.evidence["support"]["ruled_out"]
+    loop = await registered(world, OneAloneAfterAnEnd(), *pair, x_m)
+    assert loop.reason == reason
+    if reason is not None:
+        await world.use_cases.loop_decisions.reject(TENANT, "town", own.loop_id)
+        assert (await registered(world, OneAloneAfterAnEnd(), *pair, x_m + 0.1)).reason == "AMBIGUOUS"
+
+
+class LonelyBeyond(EqualBlocks):
+    """A pair without a claim of the service that fits in many poses, in one of them alone."""
+
+    def verify(self, query, match, similarity, config, initial=None):
+        if initial is None:
+            return rejected()
+        return (
+            verified(initial.T_match_query)
+            if initial.T_match_query[0, 3] > 15.0
+            else Houses().verify(query, match, similarity, config, initial)
+        )
+
+
+async def test_starts_that_are_tried_one_after_another_find_no_pose_that_counts_alone():
+    world, pair = memory_world(), ("tuesday-20", "monday-20")
+    await driven_twice(world, LonelyBeyond())
+    tried = [await registered(world, LonelyBeyond(), *pair, x_m) for x_m in (0.0, PERIOD_M, 2 * PERIOD_M)]
+    assert [loop.reason for loop in tried] == ["AMBIGUOUS"] * 3
+    exchanged = await registered(world, LonelyBeyond(), *reversed(pair), 2 * PERIOD_M)
+    assert exchanged.reason == "AMBIGUOUS"

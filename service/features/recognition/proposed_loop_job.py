@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -17,7 +17,8 @@ from revisit.service.features.corrections.job import EarlyCorrections
 from revisit.service.features.graph.posting import optimise_soon
 from revisit.service.features.index.comparison import Comparison
 from revisit.service.features.index.place_memory import RecalledPlace
-from revisit.service.features.loops.claims import claim_of_row, evidence_of, loop_state, rules_of, station
+from revisit.service.features.loops.claims import claim_of_row, evidence_of, loop_state, poses_of, rules_of, station
+from revisit.service.features.loops.decisions import OVERRULED
 from revisit.service.features.loops.rows import Change, change_loop
 from revisit.service.ports.job_context import JobContext
 from revisit.service.ports.job_queue import Lease
@@ -31,16 +32,12 @@ NO_LONGER_PROPOSED = {"outcome": "the loop was deleted, or somebody decided on i
 
 @dataclass(frozen=True)
 class ProposedPair:
-    """The submaps of a proposed loop, how alike they are, and the pose that somebody named, if so.
-
-    ambiguous: the claims of the service on the two submaps, whichever is the query, that are ambiguous.
-    """
+    """The submaps of a proposed loop, how alike they are, and the pose that somebody named, if so."""
 
     map: MapRecord
     query: SubmapRecord
     match: RecalledPlace
     initial: InitialPose | None
-    ambiguous: list[LoopClaim]
 
 
 @dataclass(frozen=True)
@@ -64,8 +61,9 @@ class VerdictCommit:
             return
         verdict, measured = self.verdict, self.verdict.measurement
         rules = self.policy.for_map(self.pair.map).verification
-        claim = LoopClaim(station(self.pair.query), station(self.pair.match.submap), verdict)
-        claim = accept_named(claim, self.pair.ambiguous, rules)
+        query, match = self.pair.query, self.pair.match.submap
+        known = [*_known(uow, query, match), *_known(uow, match, query)]
+        claim = accept_named(LoopClaim(station(query), station(match), verdict), known, rules)
         state, reason = loop_state(claim), None if claim.reason is None else claim.reason.value
         evidence = evidence_of(claim, rules)
         model = {"model_version": self.pair.query.model_version}
@@ -120,15 +118,24 @@ def _proposed_pair(uow: UnitOfWork, job: JobRecord) -> ProposedPair | None:
     if loop.T_match_query is not None:
         initial = InitialPose(np.array(pose_matrix(loop.T_match_query)), Authority.COMPETES)
     recalled = RecalledPlace(match, _similarity(query, match))
-    ambiguous = [*_ambiguous(uow, query, match), *_ambiguous(uow, match, query)]
-    return ProposedPair(require_map(uow, job.tenant, loop.map_id), query, recalled, initial, ambiguous)
+    return ProposedPair(require_map(uow, job.tenant, loop.map_id), query, recalled, initial)
 
 
-def _ambiguous(uow: UnitOfWork, query: SubmapRecord, match: SubmapRecord) -> list[LoopClaim]:
-    """The claims of the service on a pair that are ambiguous."""
-    ends = {"query_number": query.number, "match_number": match.number}
-    found = uow.loops.find(query.tenant, **ends, reason=RejectionReason.AMBIGUOUS.value)
-    return [claim_of_row(loop, query, match) for loop in found if not loop.manual]
+def _known(uow: UnitOfWork, query: SubmapRecord, match: SubmapRecord) -> list[LoopClaim]:
+    """The claims on a pair that are or were ambiguous, also those that a person has decided, or tried before."""
+    found = uow.loops.find(query.tenant, query_number=query.number, match_number=match.number)
+    was = [loop for loop in found if loop.T_match_query is not None and _was_ambiguous(loop)]
+    as_before = [
+        replace(one, reason=RejectionReason.AMBIGUOUS.value) if one.reason == OVERRULED else one for one in was
+    ]
+    return [claim_of_row(loop, query, match) for loop in as_before]
+
+
+def _was_ambiguous(loop: LoopRecord) -> bool:
+    """Whether a loop is ambiguous, or was before it was accepted, or a person rejected it."""
+    if loop.state == LoopState.ACCEPTED or loop.reason == OVERRULED:
+        return len(poses_of(loop)) > 1 or bool(loop.evidence.get("doubts"))
+    return loop.reason == RejectionReason.AMBIGUOUS
 
 
 def _proposed(uow: UnitOfWork, job: JobRecord) -> LoopRecord | None:
