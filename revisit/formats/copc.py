@@ -1,7 +1,8 @@
 """Clouds as COPC: LAZ 1.4 in an octree, of which a viewer loads the part and the detail that it shows; written only.
 
 Each node holds one point in each cell of a grid of its cube, 128 to a side; its children hold the others, in cells of
-half the size. A node whose points are few keeps them all. Needs the package `copclib` (extra `crs`).
+half the size. A node whose points are few keeps them all. Points that follow each other in a node lie beside each other:
+LASzip stores differences. Needs the package `copclib` (extra `crs`).
 """
 
 from __future__ import annotations
@@ -37,6 +38,8 @@ MAX_RING = 255
 
 _FIRST_OF_ONE = 0x11
 _HEAD_BYTES, _RECORD_HEAD_BYTES = 65_536, 54
+_SLAB = 100
+"""Steps: the thickness of the slabs along x in whose order a node has its points."""
 
 Node = tuple[int, int, int, int]
 """Depth, then the place of the cube along x, y and z among those of its depth."""
@@ -106,8 +109,14 @@ def octree(counts: NDArray[np.int32]) -> Iterator[tuple[Node, NDArray[np.intp]]]
         for number in range(len(population)):
             rows = np.flatnonzero(taken & (cube == number))
             x, y, z = (cells[rows[0]] // CELLS).tolist()
-            yield (depth, x, y, z), left[rows]
+            yield (depth, x, y, z), _along(counts, left[rows])
         left, depth, cell = left[~taken], depth + 1, cell / 2
+
+
+def _along(counts: NDArray[np.int32], rows: NDArray[np.intp]) -> NDArray[np.intp]:
+    """Those rows in the order of slabs along x, in a slab of y, then of z."""
+    x, y, z = counts[rows].T
+    return rows[np.lexsort((z, y, x // _SLAB))]
 
 
 def _cell(counts: NDArray[np.int32]) -> float:

@@ -11,6 +11,7 @@ import pytest
 from laspy.copc import Bounds, CopcReader
 
 from revisit.core.errors import BadField
+from revisit.formats import laz
 
 copc = pytest.importorskip("revisit.formats.copc", reason="in the extra `crs`")
 
@@ -61,6 +62,12 @@ def test_each_node_holds_each_of_its_points_once_and_one_in_a_cell():
         assert depth == 0 or (depth - 1, *(one // 2 for one in place)) in names
         cells = ((counts[rows] - counts.min(axis=0)) / (cube / copc.CELLS)).astype(int)
         assert len(rows) <= copc.FEW_POINTS or len(np.unique(cells, axis=0)) == len(rows)
+
+
+def test_a_file_is_as_small_as_one_without_an_octree(tmp_path, points):
+    copc.write(tmp_path / "a.copc.laz", points)
+    in_order = points[np.lexsort(points.T[::-1])]
+    assert (tmp_path / "a.copc.laz").stat().st_size < 1.1 * len(laz.encode(in_order))
 
 
 @pytest.mark.parametrize("count", [1, 9_000])
