@@ -1,8 +1,8 @@
 """Clouds as COPC: LAZ 1.4 in an octree, of which a viewer loads the part and the detail that it shows; written only.
 
 Each node holds one point in each cell of a grid of its cube, 128 to a side; its children hold the others, in cells of
-half the size. A node whose points are few keeps them all. Points that follow each other in a node lie beside each other:
-LASzip stores differences. Needs the package `copclib` (extra `crs`).
+half the size. A node whose points are few keeps them all. In a node, points that follow each other lie beside each
+other: LASzip stores differences. Needs the package `copclib` (extra `crs`).
 """
 
 from __future__ import annotations

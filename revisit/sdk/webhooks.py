@@ -20,8 +20,8 @@ TOLERANCE_S = 300.0
 def verified(body: bytes, headers: Mapping[str, str], secret: str, *, now_s: float | None = None) -> list[Event]:
     """The events of a request to a webhook; names of headers may have any case.
 
-    One that failed before comes again: leave out those with a `number` that you have had. Raises Unauthenticated where
-    the signature is not that of `secret`, or older than `TOLERANCE_S`; InvalidArgument for a malformed body.
+    One that failed before comes again: leave out those whose `map` and `number` you have had. Raises Unauthenticated
+    where the signature is not that of `secret`, or older than `TOLERANCE_S`; InvalidArgument for a malformed body.
     """
     shown = {name.lower(): value for name, value in headers.items()}
     timestamp, signatures = shown.get("webhook-timestamp", ""), shown.get("webhook-signature", "")

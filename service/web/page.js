@@ -947,7 +947,13 @@ anchors = new AnchorList({
   submaps: () => [...model.submaps.values()],
   frame: () => model.frame,
 });
-tools = new Tools({ view, mapName: () => model.map, onJoined: joined, onMove: (query, match) => pair.openByHand(query, match) });
+tools = new Tools({
+  view,
+  mapName: () => model.map,
+  notDrawn: () => [...model.submaps.values()].filter(({ name }) => !model.placed.has(sessionOf(name))),
+  onJoined: joined,
+  onMove: (query, match) => pair.openByHand(query, match),
+});
 slice = new HeightSlice({ view, onChanged: sliced });
 plans = new Plans({ view, tools, frame: () => model.frame, heightOf: floorOf, lookDown });
 connect();

@@ -10,12 +10,12 @@ const SAID = { measure: "Click two points", join: "Click two submaps that show t
 const metres = (length) => (length < 10 ? `${length.toFixed(2)} m` : `${length.toFixed(1)} m`);
 
 /**
- * One tool at a time. `view` is the MapView, `mapName()` the map that is shown; `onJoined` hears of the loop closure, `onMove` of
- * two submaps one of which is to be moved by hand.
+ * One tool at a time. `view` is the MapView, `mapName()` the map that is shown, `notDrawn()` its submaps that are not drawn;
+ * `onJoined` hears of the loop closure, `onMove` of two submaps one of which is to be moved by hand.
  */
 export class Tools {
-  constructor({ view, mapName, onJoined, onMove }) {
-    Object.assign(this, { view, mapName, onJoined, onMove, tool: "none", points: [], ends: [], guest: null });
+  constructor({ view, mapName, notDrawn, onJoined, onMove }) {
+    Object.assign(this, { view, mapName, notDrawn, onJoined, onMove, tool: "none", points: [], ends: [], guest: null });
     byId("tools").addEventListener("click", ({ target }) => target.dataset.tool && this.use(this.tool === target.dataset.tool ? "none" : target.dataset.tool));
   }
 
@@ -32,7 +32,7 @@ export class Tools {
     document.body.dataset.tool = tool;
     this.view?.measure([]);
     this.view?.mark([]);
-    this.say(SAID[tool]);
+    this.say(SAID[tool], tool === "join" && this.others());
   }
 
   /** A click at a point of the canvas, in CSS pixels. */
@@ -57,13 +57,24 @@ export class Tools {
     if (!submap || this.ends.some(({ name }) => name === submap.name)) return;
     this.ends = this.ends.length === 2 ? [submap] : [...this.ends, submap];
     this.view.mark(this.ends.map(({ name }) => name), this.ends.length === 2 ? {} : null);
-    if (this.ends.length < 2) return this.say(`${shortName(submap.name)}, and the second submap?`);
+    if (this.ends.length < 2) return this.say(`${shortName(submap.name)}, and the second submap?`, this.others());
     this.ask(...this.ends);
+  }
+
+  /** A list of the submaps that cannot be clicked, or null where all are drawn. */
+  others() {
+    const found = this.notDrawn().filter(({ name }) => !this.ends.some((end) => end.name === name));
+    if (!found.length) return null;
+    const options = found.map(({ name }) => element("option", { value: name }, shortName(name)));
+    const list = element("select", { "aria-label": "A submap that is not drawn" }, element("option", { value: "" }, "or one that is not drawn"), ...options);
+    list.addEventListener("change", () => this.takeSubmap(found.find(({ name }) => name === list.value)));
+    return list;
   }
 
   /** The two submaps, and what to do with them. */
   ask(query, match) {
     const note = element("input", { type: "text", placeholder: "Why? (noted with your decision)", maxlength: 256, "aria-label": "Why" });
+    const drawn = this.view.relative(match.name, query.name);
     const near = element("input", { type: "checkbox", id: "as-drawn" });
     const said = element("p", { role: "alert" });
     const join = element("button", { type: "button" }, "Join them");
@@ -71,7 +82,7 @@ export class Tools {
       join.disabled = true;
       said.textContent = "";
       try {
-        const guess = near.checked ? { T_match_query: poseText(this.view.relative(match.name, query.name)) } : {};
+        const guess = near.checked ? { T_match_query: poseText(drawn) } : {};
         const answer = await send(`/v1/${this.mapName()}/loopClosures`, { query: query.name, match: match.name, note: note.value, ...guess });
         this.use("none");
         this.onJoined(answer.loop_closure);
@@ -83,7 +94,7 @@ export class Tools {
     const move = element("button", { type: "button", class: "plain", onclick: () => this.move(query, match) }, "Move by hand");
     this.say(
       element("strong", {}, `${shortName(query.name)} \u2192 ${shortName(match.name)}`),
-      element("label", { for: "as-drawn" }, near, " begin where they are drawn"),
+      drawn && element("label", { for: "as-drawn" }, near, " begin where they are drawn"),
       element("div", { class: "actions" }, note, join, move, element("button", { type: "button", class: "plain", onclick: () => this.use("none") }, "Leave it"), said),
     );
   }

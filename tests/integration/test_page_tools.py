@@ -15,6 +15,7 @@ from tests.support.browser import Page, browser
 from tests.support.live_service import live_service
 from tests.support.page_town import EACH_BY_ITSELF, fill
 from tests.support.patience import eventually
+from tests.support.service_world import cloud_points
 
 TOWN = "maps/town"
 PHONE = {"viewport": {"width": 390, "height": 844}, "is_mobile": True, "has_touch": True}
@@ -239,6 +240,30 @@ def test_two_submaps_are_picked_one_is_moved_by_keys_and_numbers_and_registered_
     fresh.tab.get_by_role("button", name="Register from here").click()
     fresh.tab.get_by_text("joins the two submaps already").wait_for()
     assert fresh.complaints == [said for said in fresh.complaints if "409" in said], "the refusal alone"
+
+
+def test_a_submap_of_a_session_that_is_not_drawn_is_picked_from_a_list(chromium, service):
+    with Client(service.http) as client:
+        client.create_map("apart")
+        for session_id, place in (("monday", 10), ("tuesday", 200)):
+            session = client.create_session("maps/apart", session_id)
+            client.wait(client.post_submap(session, "gate", cloud_points(place), np.eye(4), 1))
+        shown = Page(chromium, service.http, "/#maps/apart", viewport={"width": 390, "height": 844})
+        shown.drawn()
+        assert "1 session not drawn" in shown.tab.locator("#caption").inner_text()
+        shown.tab.locator("[data-tool=join]").click()
+        shown.tab.mouse.click(*shown.where("maps/apart/sessions/monday/submaps/gate"))
+        listed = shown.tab.get_by_label("A submap that is not drawn")
+        box = listed.bounding_box()
+        assert box["x"] >= 8 and box["x"] + box["width"] <= 382, "inside the window"
+        listed.select_option("tuesday / gate")
+        assert not shown.tab.locator("#as-drawn").count(), "there is no drawing to begin with"
+        shown.tab.get_by_role("button", name="Join them").click()
+        shown.tab.locator("#told").wait_for(state="hidden")
+        (loop,) = [one for one in client.loop_closures("maps/apart", state="ALL") if one.manual]
+        assert (loop.query.split("/")[3], loop.match.split("/")[3]) == ("monday", "tuesday")
+    assert shown.complaints == []
+    shown.tab.close()
 
 
 def test_of_loops_that_were_never_accepted_the_newest_is_listed_first(fresh):
