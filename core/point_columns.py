@@ -59,7 +59,9 @@ class PointColumn:
         return np.ascontiguousarray(kept, dtype=self.kind)
 
     def holds(self, values: NDArray[Any]) -> bool:
-        """Whether all values are in the range, and whole where the column has whole numbers."""
+        """Whether all values are numbers in the range, and whole where the column has whole numbers."""
+        if values.dtype.kind not in "biuf":
+            return False
         if not ((values >= self.low) & (values <= self.high)).all():
             return False
         whole = self.kind.startswith("f") or values.dtype.kind != "f"

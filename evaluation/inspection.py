@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from revisit.core.errors import OutOfRange, RevisitError
 from revisit.core.geometry import se3
+from revisit.core.point_columns import joined
 from revisit.core.sanity.agreement import ScenePair, check_agreement
 from revisit.core.sanity.finding import Finding
 from revisit.core.sanity.ground import check_gravity, ground_plane
@@ -29,7 +30,7 @@ PAIR_ROTATION_RAD = np.radians(15.0)
 class Inspection:
     """Measurements by name, and findings. `sample` holds the scans that were read."""
 
-    figures: dict[str, float | int | None]
+    figures: dict[str, float | int | str | None]
     findings: tuple[Finding, ...]
     sample: tuple[Scan, ...]
 
@@ -107,7 +108,9 @@ def _once(findings: list[Finding]) -> tuple[Finding, ...]:
     return tuple({finding.code: finding for finding in reversed(findings)}.values())[::-1]
 
 
-def _figures(recording: Recording, poses: NDArray[np.float64], scans: list[Scan]) -> dict[str, float | int | None]:
+def _figures(
+    recording: Recording, poses: NDArray[np.float64], scans: list[Scan]
+) -> dict[str, float | int | str | None]:
     steps = np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1)
     planes = [ground_plane(scan.points @ scan.T_odom_sensor[:3, :3].T) for scan in scans]
     heights = [plane.height_m for plane in planes if plane is not None]
@@ -118,6 +121,7 @@ def _figures(recording: Recording, poses: NDArray[np.float64], scans: list[Scan]
         "travelled_m": round(float(steps.sum()), 2),
         "largest_step_m": round(float(steps.max()), 3) if len(steps) else None,
         "scan_period_s": float(np.median(periods)) / 1e9 if len(periods) else None,
+        "point_columns": ", ".join(joined([scan.columns for scan in scans])) or None,
         "points_a_scan": _median([float(len(scan.points)) for scan in scans]),
         "scene_size_m": _median([scene_size(scan) for scan in scans]),
         "height_over_ground_m": _median(heights),

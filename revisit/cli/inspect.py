@@ -72,9 +72,10 @@ def _inspect_recording(
     as_json: bool,
 ) -> None:
     """`read_as` are the options of `opened`."""
+    from revisit.core.point_columns import COLUMNS
     from revisit.evaluation.inspection import inspect_recording
 
-    recording = opened(folder, *read_as)
+    recording = opened(folder, *read_as, columns=tuple(COLUMNS))
     inspection = inspect_recording(recording)
     if picture is not None:
         _draw(recording, inspection, picture)

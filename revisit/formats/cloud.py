@@ -203,8 +203,9 @@ def checked_for_writing(points: NDArray[np.floating], columns: Columns) -> Decod
         raise BadField(f"points must be (n, 3), got {points.shape}", field="points")
     for name, values in columns.items():
         channels = column(name).channels
-        if values.shape != ((len(points),) if channels == 1 else (len(points), channels)):
-            raise BadField(f"{name} must be ({len(points)},), got {values.shape}", field=name)
+        shape = (len(points),) if channels == 1 else (len(points), channels)
+        if values.shape != shape:
+            raise BadField(f"{name} must be {shape}, got {values.shape}", field=name)
     return DecodedCloud(np.ascontiguousarray(points, dtype="<f4"), columns)
 
 

@@ -11,7 +11,7 @@ from revisit.core.geometry import se3
 from revisit.core.point_columns import COLUMNS, at_rows, joined, same, validated
 from revisit.core.scan import Scan
 from revisit.core.submap import Submap
-from revisit.formats import QUANTISED
+from revisit.formats import QUANTISED, quantised
 from revisit.sdk.clouds import PointCloud, encoded
 from revisit.service.adapters.core_recogniser import load_recogniser
 from revisit.service.features.ingest.clouds import EncodedCloud, accept_cloud, pack_cloud, unpack_cloud
@@ -66,6 +66,16 @@ def test_a_column_that_cannot_be_used_costs_a_recording_no_scan(name, wrong):
         validated(columns, street(0))
     with pytest.raises(BadField, match=f"{name} must be .*got"):
         validated({name: told()[name][:-1]}, street(0))
+
+
+@pytest.mark.parametrize("values", ["7", None, np.datetime64(0, "ns"), 1j], ids=["text", "object", "date", "complex"])
+def test_a_column_of_no_numbers_is_refused_as_one_out_of_range(values):
+    columns = {"time": np.full(2 * COUNT, values)}
+    assert Scan.validated(street(0), np.eye(4), 0, columns).columns == {}
+    with pytest.raises(BadField, match="time must be"):
+        validated(columns, street(0))
+    with pytest.raises(BadField, match="time must be"):
+        quantised.encode(street(0), columns)
 
 
 def test_a_column_of_zeros_tells_nothing():

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
+from revisit.cli.app import app
 from revisit.cli.recordings import opened
 from revisit.core.geometry import se3
 from revisit.evaluation.datasets import WantedTopics, notes_of, open_bag
@@ -77,6 +80,11 @@ def bag(tmp_path_factory) -> Path:
 def test_a_blurred_room_is_sharp_once_it_is_deskewed(bag: Path) -> None:
     before, after = (blur_m(open_bag(bag, WantedTopics(deskew=deskew))) for deskew in (False, True))
     assert before > 0.2 and after < 0.005
+
+
+def test_inspect_names_the_columns_that_ingest_could_send(bag: Path) -> None:
+    answer = CliRunner().invoke(app, ["inspect", str(bag), "--json"])
+    assert json.loads(answer.stdout)["figures"]["point_columns"] == "ring, time, rgb"
 
 
 def test_points_that_are_deskewed_keep_their_ring_time_and_colour(bag: Path) -> None:
