@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from revisit.cli.output import tell
 from revisit.cli.pose_graph_files import Graph, pose_graph, read_graph
 from revisit.cli.standing import SurfaceOf, Surfaces
 from revisit.core.geometry.se3 import Matrix4
@@ -20,7 +21,7 @@ from revisit.sdk.client import Client
 if TYPE_CHECKING:
     from revisit.core.implicit_map import NeuralMap
     from revisit.formats.mcap_map import DrivenPoses
-    from revisit.sdk.resources import Submap
+    from revisit.sdk.resources import LoopClosure, Submap
 
 Points = NDArray[np.float64]
 
@@ -55,7 +56,7 @@ def placed_submaps(http: str, map_id: str, session_id: str = "") -> list[PlacedS
     """
     graph = read_graph(http, map_id, session_id)
     submaps = {one.name: one for track in graph.tracks for one in track}
-    frames = _of_version(http, map_id, submaps) or _optimised_here(graph)
+    frames = _of_version(http, map_id, submaps, graph.loops) or _optimised_here(graph)
     frame = max(frames, key=lambda one: len(frames[one]), default="")
     return [_placed(submaps[name], pose, frame) for name, pose in frames.get(frame, {}).items()]
 
@@ -65,14 +66,22 @@ def _placed(submap: Submap, T_map_submap: Matrix4, frame: str) -> PlacedSubmap:
     return PlacedSubmap(submap.name, submap.stamp_ns, T_map_submap, frame, has_scans, released)
 
 
-def _of_version(http: str, map_id: str, submaps: Container[str]) -> dict[str, dict[str, Matrix4]]:
-    """T_map_submap by submap, by frame, of the version in force; empty without one."""
+def _of_version(
+    http: str, map_id: str, submaps: Container[str], loops: Iterable[LoopClosure]
+) -> dict[str, dict[str, Matrix4]]:
+    """T_map_submap by submap, by frame, of the version in force; empty without one. Tells how many `loops` it lacks."""
     frames: dict[str, dict[str, Matrix4]] = {}
     with Client(http) as client:
         version = next((one for one in client.map_versions(f"maps/{map_id}") if one.in_force), None)
         for pose in client.submap_poses(version) if version else []:
             if pose.submap in submaps:
                 frames.setdefault(pose.frame, {})[pose.submap] = pose.T_map_submap
+    unknown = sum(loop.graph_state is None for loop in loops)
+    if version is not None and unknown:
+        tell(
+            f"version {version.version} of map {map_id} was made before {unknown} of its loop closures: a worker makes "
+            f"the next one soon, or at once with `revisit map optimise {map_id}`"
+        )
     return frames
 
 

@@ -216,6 +216,20 @@ def test_reference_points_of_a_session_lie_at_one_spot_in_both_frames(service, c
     assert list(by_session(placed)) == ["monday"] and len(pairs["rmf"]) == 3
 
 
+def test_an_export_tells_of_loops_that_its_version_does_not_know(service, client, driven, capsys):
+    map_id = driven.partition("/")[2]
+    placed_submaps(service.http, map_id)
+    assert "loop closures" not in capsys.readouterr().err
+    session = client.create_session(driven, "wednesday")
+    for place in range(1, 4):
+        client.wait(client.post_submap(session, f"s{place}", cloud_points(place), pose(5.0 * place), place))
+    placed_submaps(service.http, map_id)
+    assert f"version 1 of map {map_id} was made before 3 of its loop closures" in capsys.readouterr().err
+    client.wait(client.optimise_map(driven))
+    placed_submaps(service.http, map_id)
+    assert "loop closures" not in capsys.readouterr().err
+
+
 @pytest.fixture
 def written(monkeypatch):
     """The submaps that each mesh was made of."""
