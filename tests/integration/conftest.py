@@ -1,8 +1,13 @@
-"""Every test runs on SQLite with each change; on the other stores of rows, those that are about stores."""
+"""Every test runs on SQLite with each change; on the other stores of rows, those that are about stores.
+
+Tests of the page share a browser.
+"""
 
 from __future__ import annotations
 
 import pytest
+
+from tests.support.browser import browser
 
 OTHERS = {"memory", "postgres"}
 ABOUT_STORES = {
@@ -33,3 +38,10 @@ def _repeats(item: pytest.Function) -> bool:
         return False
     on = OTHERS.intersection(item.callspec.id.split("-"))
     return bool(on) and not (on == {"postgres"} and item.originalname in QUICK_ON_POSTGRES)
+
+
+@pytest.fixture(scope="module")
+def chromium():
+    """The browser that a file of tests of the page opens its pages in."""
+    with browser() as opened:
+        yield opened

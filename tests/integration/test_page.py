@@ -18,7 +18,7 @@ from revisit.api.scopes import Scope
 from revisit.core.errors import MalformedBody
 from revisit.formats.glb import encode_scene
 from revisit.formats.pictures import Picture, PictureLimits, read_picture
-from tests.support.browser import SIZE, Page, browser
+from tests.support.browser import SIZE, Page
 from tests.support.credentials import a_key
 from tests.support.fleet_in_service import fleet_in, slipped_fleet_in
 from tests.support.live_service import live_service
@@ -34,12 +34,6 @@ REFERENCE = Path(__file__).with_name("page.png")
 MANY = 1000
 READ, READ_WRITE = frozenset({Scope.QUERY}), frozenset({Scope.QUERY, Scope.INGEST})
 SECONDS_FOR_MANY = 3.0
-
-
-@pytest.fixture(scope="module")
-def chromium():
-    with browser() as opened:
-        yield opened
 
 
 @pytest.fixture(scope="module")

@@ -7,7 +7,7 @@ from itertools import combinations
 import pytest
 
 from revisit import Client
-from tests.support.browser import Page, browser
+from tests.support.browser import Page
 from tests.support.live_service import live_service
 from tests.support.page_town import EACH_BY_ITSELF, fill
 from tests.support.service_world import cloud_points, pose
@@ -21,12 +21,6 @@ EVERY_BOX = """root => [...document.querySelectorAll(`${root} *`)].filter(part =
   .filter(([, box]) => box.width && box.height)
   .map(([name, { left, top, right, bottom }]) => [String(name), left, top, right, bottom])"""
 CUT = "[...document.querySelectorAll('#loops .end')].filter(end => end.scrollWidth > end.clientWidth).length"
-
-
-@pytest.fixture(scope="module")
-def chromium():
-    with browser() as opened:
-        yield opened
 
 
 @pytest.fixture(scope="module")

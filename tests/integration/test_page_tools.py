@@ -11,7 +11,7 @@ from revisit import Client
 from revisit.core.geometry import se3
 from revisit.formats.glb import encode_scene
 from revisit.service.rest.routes.page import WEB
-from tests.support.browser import Page, browser
+from tests.support.browser import Page
 from tests.support.live_service import live_service
 from tests.support.page_town import EACH_BY_ITSELF, fill
 from tests.support.patience import eventually
@@ -31,12 +31,6 @@ PIXELS = """() => {
   return pixels.reduce((count, pixel) => count + (pixel !== pixels[0]), 0);
 }"""
 """How many pixels are not empty, without the grid that lies underneath."""
-
-
-@pytest.fixture(scope="module")
-def chromium():
-    with browser() as opened:
-        yield opened
 
 
 @pytest.fixture(scope="module")
