@@ -31,9 +31,9 @@ from tests.support.records import a_loop, a_map, a_session, a_submap
 from tests.support.service_world import cloud_points, memory_world, pose, sqlite_world
 
 REFERENCE = Path(__file__).with_name("page.png")
-MANY = 1000
+MANY = 5000
 READ, READ_WRITE = frozenset({Scope.QUERY}), frozenset({Scope.QUERY, Scope.INGEST})
-SECONDS_FOR_MANY = 3.0
+SECONDS_FOR_MANY = 2.0
 
 
 @pytest.fixture(scope="module")
@@ -547,13 +547,13 @@ def many(tmp_path_factory):
 
 
 @pytest.mark.slow
-def test_a_thousand_submaps_are_drawn_within_three_seconds(chromium, many):
+def test_five_thousand_submaps_are_drawn_within_two_seconds(chromium, many):
     times_s = []
     for _ in range(3):
         shown = Page(chromium, many.http, "/#maps/city")
         times_s.append(shown.drawn() / 1000)
         assert shown.data("drawn-submaps") == str(MANY)
-        shown.until("drawn-loops", 1497)
+        shown.until("drawn-loops", 9497)
         assert shown.complaints == []
         shown.tab.close()
     print(f"{MANY} submaps drawn after {min(times_s):.2f} s, at most {max(times_s):.2f} s")
