@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import shlex
+import subprocess
 from functools import cache
 from itertools import takewhile
 from pathlib import Path
@@ -108,3 +109,9 @@ def _unknown_in(line: str) -> list[str]:
         command = command.commands[words.pop(0)]
     known = {name for option in command.params for name in (*option.opts, *option.secondary_opts)} | {"--help"}
     return [word for word in words if word.startswith("--") and word.partition("=")[0] not in known]
+
+
+def test_the_text_of_a_tag_is_the_section_of_its_release():
+    (command,) = re.findall(r"^awk .*(?= \| git tag)", (ROOT / "docs/reference/stability.md").read_text(), re.MULTILINE)
+    text = subprocess.run(command, shell=True, cwd=ROOT, check=True, capture_output=True, text=True).stdout
+    assert text.startswith(f"## {VERSION} - ") and "### You must" in text and text.count("\n## ") == 0
