@@ -48,15 +48,19 @@ class PointColumn:
 
         Raises BadField for another shape, and for values that are not finite, out of range, or no whole numbers.
         """
-        shape = (len(points),) if self.channels == 1 else (len(points), self.channels)
-        if values.shape != shape:
-            raise BadField(f"{self.name} must be {shape}, got {values.shape}", field=self.name)
+        self.require_shape(values, len(points))
         finite = np.isfinite(points).all(axis=1)
         kept = values if finite.all() else values[finite]
         if not self.holds(kept):
             kind = "finite" if self.kind.startswith("f") else "whole numbers"
             raise BadField(f"{self.name} must be {self.low:,} to {self.high:,}, and {kind}", field=self.name)
         return np.ascontiguousarray(kept, dtype=self.kind)
+
+    def require_shape(self, values: NDArray[Any], count: int) -> None:
+        """Raises BadField for values that are not those of so many points."""
+        shape = (count,) if self.channels == 1 else (count, self.channels)
+        if values.shape != shape:
+            raise BadField(f"{self.name} must be {shape}, got {values.shape}", field=self.name)
 
     def holds(self, values: NDArray[Any]) -> bool:
         """Whether all values are numbers in the range, and whole where the column has whole numbers."""

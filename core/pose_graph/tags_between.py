@@ -193,8 +193,8 @@ class TagsBetween:
 
     def _beside(self, drive: TaggedDrive, ordinal: int, reach_m: float) -> list[TagPass]:
         """The nearest passes along the drive of tags that hang at one place alone."""
-        near = drive.beside(float(drive.along_m[ordinal]), reach_m)
-        return [one for one in near if one.tag not in self._doubled | drive.doubled][:MOST_TAGS]
+        near, doubled = drive.beside(float(drive.along_m[ordinal]), reach_m), self._doubled | drive.doubled
+        return [one for one in near if one.tag not in doubled][:MOST_TAGS]
 
 
 def refuted_by_tags(

@@ -202,10 +202,7 @@ def checked_for_writing(points: NDArray[np.floating], columns: Columns) -> Decod
     if points.ndim != 2 or points.shape[1] != 3:
         raise BadField(f"points must be (n, 3), got {points.shape}", field="points")
     for name, values in columns.items():
-        channels = column(name).channels
-        shape = (len(points),) if channels == 1 else (len(points), channels)
-        if values.shape != shape:
-            raise BadField(f"{name} must be {shape}, got {values.shape}", field=name)
+        column(name).require_shape(values, len(points))
     return DecodedCloud(np.ascontiguousarray(points, dtype="<f4"), columns)
 
 

@@ -18,7 +18,7 @@ from revisit.api.scopes import Scope
 from revisit.core.errors import MalformedBody
 from revisit.formats.glb import encode_scene
 from revisit.formats.pictures import Picture, PictureLimits, read_picture
-from tests.support.browser import SIZE, Page
+from tests.support.browser import PHONE, SIZE, Page
 from tests.support.credentials import a_key
 from tests.support.fleet_in_service import fleet_in, slipped_fleet_in
 from tests.support.live_service import live_service
@@ -558,9 +558,6 @@ def test_five_thousand_submaps_are_drawn_within_two_seconds(chromium, many):
         shown.tab.close()
     print(f"{MANY} submaps drawn after {min(times_s):.2f} s, at most {max(times_s):.2f} s")
     assert in_time(min(times_s), SECONDS_FOR_MANY)
-
-
-PHONE = {"viewport": {"width": 390, "height": 844}, "has_touch": True, "is_mobile": True}
 
 
 def test_colours_tell_what_is_asked_and_the_legend_its_range(page):

@@ -11,14 +11,13 @@ from revisit import Client
 from revisit.core.geometry import se3
 from revisit.formats.glb import encode_scene
 from revisit.service.rest.routes.page import WEB
-from tests.support.browser import Page
+from tests.support.browser import PHONE, Page
 from tests.support.live_service import live_service
 from tests.support.page_town import EACH_BY_ITSELF, fill
 from tests.support.patience import eventually
 from tests.support.service_world import cloud_points
 
 TOWN = "maps/town"
-PHONE = {"viewport": {"width": 390, "height": 844}, "is_mobile": True, "has_touch": True}
 
 PIXELS = """() => {
   const view = revisitPage.view(), gl = view.renderer.getContext();
